@@ -157,6 +157,7 @@ class ThingFiles:
                     held = self._read(path)
                 except HintedError:  # damaged, or of a key or an authority that this router had before
                     held = None
+                # Restored or repeated it would bring a former key back (attack `thing-statement`).
                 if held is not None and statement.not_before < held.not_before:
                     raise ThingRefused(
                         f"the statement about {statement.name} is older than the one that is here",

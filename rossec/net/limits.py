@@ -145,6 +145,7 @@ class HalfOpenCount:
         if own_full:  # the oldest slot of the address that has most, if it has more than `address` would have
             counts = Counter(slot.address for slot in own)
             busiest = max(counts, key=counts.__getitem__)
+            # A share like everybody's ends nobody else's (0049).
             if counts[busiest] <= counts[address] + 1:
                 return None
             return next((slot for slot in own if slot.address == busiest and slot.close is not None), None)

@@ -47,6 +47,7 @@ from rossec.ros import names, tcpros
 from rossec.ros.names import ANY_TYPE, SIGNED_UPDATES, is_loopback
 from rossec.terminal import fail
 
+# A peer that says nothing holds a descriptor no longer (attack `descriptors`).
 HEADER_DEADLINE: Final = 5.0
 
 _log = logging.getLogger("rossec.node")
@@ -120,6 +121,7 @@ class Listener:
             return
         except HintedError as error:
             _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
+            # It is about the peer's own grants: nothing of what exists here (attack `existence-oracle`).
             await stream.send(tcpros.error_header(f"rossec: {error}"))
             return
         await serve()
@@ -230,6 +232,7 @@ class Node:
                 self._environ,
                 lambda error: _log.warning("%s: %s (%s)", self.name, error, error.hint),
             )
+            # The session first: the master checks a node's grants before it registers anything (0006).
             stream = await self._membership.session.open()
             self._host = address or stream.local_address
             await self._listener.start(self._host)
@@ -387,6 +390,7 @@ class Node:
         await self.params.restore()
 
     async def rights_changed(self) -> None:
+        # What was refused may be allowed now: everything is registered again.
         await self.restore()
 
     def maintain(self) -> None:

@@ -215,6 +215,7 @@ def _replaced(tree: Value, path: list[str], value: Value) -> Value:
     new = dict(tree) if isinstance(tree, dict) else {}
     head, *rest = path
     below = _replaced(new.get(head), rest, value)
+    # The master tells an unset parameter as an empty mapping: it goes out of the tree.
     if below == {}:
         new.pop(head, None)
     else:

@@ -155,6 +155,7 @@ class Publisher:
         for connection, queue in tuple(self.links.items()):
             if connection.ends <= now:  # the watchdog is about to close it
                 continue
+            # Subscribers whose guards do the same share one filtered message.
             key = connection.guard.key
             if key not in filtered:
                 filtered[key] = self._filter(connection, sample, now, latch)

@@ -93,7 +93,9 @@ class Service:
         self._context = context
         self._on_close = on_close
         self._slots = asyncio.Semaphore(concurrency)
+        # Half for one caller: others still find a slot (attack `service-occupied`).
         self._share = max(1, concurrency // 2)
+        # Weak: a caller without a connection needs no entry.
         self._shares: WeakValueDictionary[bytes, asyncio.Semaphore] = WeakValueDictionary()
         self._deadline = deadline
 

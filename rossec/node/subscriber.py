@@ -180,6 +180,7 @@ class Subscriber:
                 await self._receive_from(uri)
             except Exception as error:  # noqa: BLE001 - after any error try again later
                 self._record_failure(uri, error)
+            # Longer only while nothing comes: one that was received from is tried again soon.
             pause = _FIRST_PAUSE if self.received > before else min(2 * pause, LONGEST_PAUSE)
             await asyncio.sleep(pause)
 

@@ -227,6 +227,7 @@ class Access:
     def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, except those known to be revoked."""
         own, others = self._revocations.entries, self._domains_held() - {self._anchor.domain}
+        # A foreign grant is ended by either authority's list (attack `foreign-node`).
         revoked = {domain: own | self.trust_status.revoked(domain) for domain in others}
         return [
             held

@@ -29,6 +29,7 @@ from rossec.peer_limits import printable
 
 # Existing connections survive missing timestamps this long; new ones are refused at once.
 STALE_GRACE: Final = 60
+# The peer's connection takes one in 2 s, and ends beyond (0051).
 PACE: Final = 3  # seconds between two presentations of this node on one connection
 _HEADER: Final = 30  # seconds a connection header may be older than the connection's authorization
 _RETRY: Final = 2  # seconds until what was refused is judged again; twice as long each time
@@ -44,6 +45,7 @@ _OTHERS: Final = {
     Right.PROVIDE: Right.CALL,
 }
 """The right of this side on a connection, by the one of the peer."""
+# Of the process: a peer that reconnects finds its bucket as it left it (0011).
 _MEMORIES: Final = MemoryStore(clock.time, Lock)
 _log = logging.getLogger("rossec.node")
 

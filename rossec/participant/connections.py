@@ -261,6 +261,7 @@ class ConnectionWatchdog:
                 "the host's clock went back: new connections are refused"
                 " until the master confirms its revocation list again"
             )
+            # Open connections keep their grace: a clock that is corrected must not stop a robot (0013).
             self._expire_confirmation(now - 1)
         self._connections.cut_ended(now)
 

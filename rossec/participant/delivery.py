@@ -291,6 +291,7 @@ class DeliveryQueue:
 
     def enqueue(self, pieces: Sequence[Buffer]) -> None:
         """Queue one filtered message, unless the rate takes it away; the oldest gives way."""
+        # The guard has let it pass: an option only ever takes away (0036).
         if self._rate is not None and not self._rate.admits(monotonic()):
             self.thinned += 1
             return

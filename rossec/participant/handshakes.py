@@ -42,6 +42,7 @@ Rename = Callable[[str], str]
 
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
     caller = text(fields, "callerid")
+    # Programs and logs would believe the name that it gives itself (attack `another-name`).
     if not peer.covers(caller):
         raise ConnectionHeaderRefused(
             f"a node certified as {shown(peer.name)} calls itself {caller}",
@@ -70,6 +71,7 @@ def text(fields: Mapping[str, bytes], key: str) -> str:
         raise ConnectionHeaderRefused(f"the connection header's {key!r} is not text") from None
     if not decoded.isprintable() and key != "error":
         raise ConnectionHeaderRefused(f"the connection header's {key!r} holds control characters")
+    # It goes into logs and errors: one line, bounded (attack `control-characters`).
     return "".join(char if char.isprintable() else " " for char in decoded)[:4096]
 
 

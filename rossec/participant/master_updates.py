@@ -145,6 +145,7 @@ class GrantDelivery:
             self.supported.set()
 
     def known(self) -> bytes:
+        # Ids, and no number that the master counts: nothing is lost by a restart of either side (0027).
         ids = dict.fromkeys(reversed(self._received))
         ids |= dict.fromkeys(held.grant.id for held in self._access.held_grants())
         return b"".join(list(ids)[:MAX_KNOWN])
@@ -240,6 +241,7 @@ class GrantWatch:
             await self._disconnect()
 
     async def _watch(self, retry: Retry) -> None:
+        # A connection of its own: a session has one call at a time, and this one waits for a minute (0027).
         stream = await self._dial()
         if stream.peer.name != self._master:
             stream.abort("not the master")
@@ -288,6 +290,7 @@ class DomainUpdates:
             if data == anchors.data:
                 return False
             anchors.update(data, self._files.save_domains)
+            # A domain that is new here begins with the newest list that was ever seen of it.
             self._files.restore(self._trust_status, clock.now())
             self._wanted = {each.entry.domain for each in anchors.all_listed}
         self._changed(True)

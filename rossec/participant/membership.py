@@ -41,6 +41,7 @@ from rossec.ros.names import MASTER, PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 from rossec.saved_statements import DomainFiles, saved_revocations
 
+# A timestamp holds for 30 s: two heartbeats may fail (attack `withheld-revocations`).
 HEARTBEAT: Final = 10.0
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
 _SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged again

@@ -216,6 +216,7 @@ class PublisherGrace:
         now = self._now()
         if now >= self._until:
             self._missing.clear()
+        # Not while one is missing: who resets sessions could prolong it (attack `reset-sessions`).
         if not self._missing:
             self._until = now + GRACE
         listed = self._listed.copy()  # atomic: in rospy threads share it

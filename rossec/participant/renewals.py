@@ -202,6 +202,7 @@ class IdentityRenewal:
             found = (self._home.path / "node.pem").stat()
         except OSError:
             return 0, 0, 0
+        # The inode, too: files are replaced in one step, and two may have one size and time.
         return found.st_ino, found.st_mtime_ns, found.st_size
 
 

@@ -126,6 +126,7 @@ async def dial(host: str, port: int, within: float) -> socket.socket:
             if not found:
                 raise OSError(f"no address for {host}")
             cancelled = task is not None and task.cancelling()
+            # A library chooses among the addresses of a host (0023).
             sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
             if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
                 sock.close()

@@ -25,6 +25,7 @@ from rossec.net.limits import HalfOpenSlot
 _log = logging.getLogger("rossec.net.server")
 _REPORT_EVERY: Final = 10.0
 _BACKLOG: Final = 128
+# In one turn of the loop: what is connected already has its turn between.
 _ACCEPTS_PER_TURN: Final = 16
 ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 

@@ -114,6 +114,7 @@ class SecureStream(BaseStream, Generic[PeerT]):
                 self.peer = event.identity
                 self.authenticated = True
                 self._on_authenticated(self)
+                # The last flight leaves with what is sent in this turn: two writes and wake-ups less (0008).
                 self._loop.call_soon(self.flush)
                 self._arm()
             elif not isinstance(event, Closed):
@@ -320,6 +321,7 @@ class SecureStream(BaseStream, Generic[PeerT]):
         if not self._queue:
             return
         queue, self._queue = self._queue, []
+        # Joined they could be longer than a unit may be.
         units = queue if self._queued > self._limit else [b"".join(queue)]
         self._queued = 0
         for unit in units:

@@ -175,6 +175,7 @@ class CallLoop(Generic[PeerT]):
 
     def _answer(self, request: bytes | Oversized) -> None:
         turns = self._turns
+        # In turns: a megabyte takes some hundred milliseconds to parse (0047, attack `long-calls`).
         if isinstance(request, Oversized) or len(request) > AT_ONCE or not turns.has_time(self._source):
             steps = self._answer_steps(request)
             self._wait_for(self._respond_later(turns.run(self._source(), steps)))
