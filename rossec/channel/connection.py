@@ -12,6 +12,7 @@ from typing import Final, Generic, Protocol, Self
 
 from ca.errors import HintedError
 from rossec import errors
+from rossec.channel import negotiation
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder
 from rossec.channel.edhoc.messages import MAX_MESSAGE_1, UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
@@ -21,19 +22,8 @@ from rossec.channel.negotiation import (
     HANDSHAKING,
     PREAMBLE,
     SENDING,
-    TABLE,
-    UNAUTHENTICATED,
-    Authenticated,
-    Closed,
-    ConnectionRenewals,
     ConnectionState,
     Event,
-    GrantsPresented,
-    IdentityRenewed,
-    Negotiation,
-    Preamble,
-    PresentedRenewalRefused,
-    Row,
     UnitReceived,
 )
 from rossec.channel.opening import WireProtocol
@@ -60,7 +50,7 @@ _DEFAULTS: Final = ChannelLimits()
 _BOTH: Final = frozenset(WireProtocol)
 _RENEWING: Final = frozenset((Frame.IDENTITY.value, Frame.GRANTS.value))
 _ROWS: Final = {
-    state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
+    state: {kind.value: row for (there, kind), row in negotiation.TABLE.items() if there is state}
     for state in ConnectionState
 }
 
@@ -80,14 +70,14 @@ class Connection(Generic[PeerT]):
 
     def __init__(
         self,
-        preamble: Preamble,
-        negotiation: Negotiation[PeerT],
+        preamble: negotiation.Preamble,
+        steps: negotiation.Negotiation[PeerT],
         now: int,
         limits: ChannelLimits,
         buffer: int = SMALL,
     ) -> None:
         self._preamble = preamble
-        self._negotiation = negotiation
+        self._negotiation = steps
         self._limits = limits
         self._now = now
         self._handshake_deadline = now + limits.handshake_seconds
@@ -97,7 +87,7 @@ class Connection(Generic[PeerT]):
         self._peer: PeerT | None = None
         self._session: Session | None = None
         self._sealing = False
-        self._renewals: ConnectionRenewals[PeerT] | None = None
+        self._renewals: negotiation.ConnectionRenewals[PeerT] | None = None
         self._own_chain: Sequence[bytes] = ()
         self.streams: OpenStreams | None = None
         self.state = ConnectionState.OPENING
@@ -119,8 +109,8 @@ class Connection(Generic[PeerT]):
         `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
         accepted. With `renews` the peer is told that renewed certificates and grants are taken here.
         """
-        edhoc, preamble = Initiator(config), Preamble(opening, None)
-        connection = cls(preamble, Negotiation(edhoc), now, limits)
+        edhoc, preamble = Initiator(config), negotiation.Preamble(opening, None)
+        connection = cls(preamble, negotiation.Negotiation(edhoc), now, limits)
         connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.message_1())]
         return connection
 
@@ -135,8 +125,8 @@ class Connection(Generic[PeerT]):
     ) -> Self:
         """The side that was connected to; `accept` says which openings are accepted. With `own_dials` this
         node may connect to itself, for dials noted there. `renews`: as for the initiator."""
-        preamble = Preamble(WireProtocol.TCPROS, accept)
-        return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
+        preamble = negotiation.Preamble(WireProtocol.TCPROS, accept)
+        return cls(preamble, negotiation.Negotiation(Responder(config)), now, limits, FIRST)
 
     @property
     def protocol(self) -> WireProtocol:
@@ -308,8 +298,8 @@ class Connection(Generic[PeerT]):
         except errors.ChannelError as error:
             refusal = _UNKNOWN if isinstance(error, errors.PeerCredentialUnknown) else _REFUSED
             # End; send an error to a peer not authenticated yet, unless it sent one first.
-            answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
-            out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
+            answer = self.state in negotiation.UNAUTHENTICATED and not self._negotiation.peer_sent_error
+            out = self._out if self.state in negotiation.UNAUTHENTICATED | PREAMBLE else []
             self._terminate()
             self._out = [*out, refusal] if answer else out
             raise
@@ -359,7 +349,7 @@ class Connection(Generic[PeerT]):
         if self.state in ENDED:
             buffer.consume(len(buffer))
 
-    def _parse_header(self, head: bytes) -> tuple[Row, int]:
+    def _parse_header(self, head: bytes) -> tuple[negotiation.Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
         if row is None or (head[0] >> 4 in _RENEWING and self._renewals is None):
             raise errors.ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
@@ -369,7 +359,7 @@ class Connection(Generic[PeerT]):
             raise errors.ProtocolViolation("a frame of a forbidden length")
         return row, length
 
-    def _handle_frame(self, row: Row, head: bytes, body: memoryview) -> None:
+    def _handle_frame(self, row: negotiation.Row, head: bytes, body: memoryview) -> None:
         name, following = row
         if self.state in HANDSHAKING:
             step = getattr(self._negotiation, name)(bytes(body), self._now)
@@ -377,7 +367,7 @@ class Connection(Generic[PeerT]):
                 self._peer = step.peer
                 self._buffer.enlarge()
                 self._session = self._negotiation.session(self._limits, self._now)
-                self._events.append(Authenticated(step.peer))
+                self._events.append(negotiation.Authenticated(step.peer))
             elif step.state is ConnectionState.WAIT_3:
                 self._buffer.enlarge(SMALL)
             if step.reply:
@@ -417,19 +407,19 @@ class Connection(Generic[PeerT]):
         if self._peer is not None:
             try:
                 self._peer = renewals.identity(data, self._peer, self._now)
-                self._events.append(IdentityRenewed(self._peer))
+                self._events.append(negotiation.IdentityRenewed(self._peer))
             except HintedError as error:
-                self._events.append(PresentedRenewalRefused(error.bare()))
+                self._events.append(negotiation.PresentedRenewalRefused(error.bare()))
         return ConnectionState.OPEN
 
     def _on_grants(self, head: bytes, body: memoryview) -> ConnectionState:
         _, data = self._renewal(head, body)
         if self.protocol is not WireProtocol.TCPROS:
             raise errors.ProtocolViolation("grants on a connection for calls")
-        self._events.append(GrantsPresented(data))
+        self._events.append(negotiation.GrantsPresented(data))
         return ConnectionState.OPEN
 
-    def _renewal(self, head: bytes, body: memoryview) -> tuple[ConnectionRenewals[PeerT], bytes]:
+    def _renewal(self, head: bytes, body: memoryview) -> tuple[negotiation.ConnectionRenewals[PeerT], bytes]:
         data = self._open_session().open_renewal(head, body)
         if self._renewals is None:
             raise errors.ProtocolViolation("a renewal where none is taken")
@@ -441,5 +431,5 @@ class Connection(Generic[PeerT]):
         session.close(head, body)
         self._out.append(session.close_record())
         self._session = None
-        self._events.append(Closed())
+        self._events.append(negotiation.Closed())
         return ConnectionState.CLOSED

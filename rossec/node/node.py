@@ -44,7 +44,6 @@ from rossec.participant.registrations import PublisherGrace
 from rossec.participant.service_types import service_type
 from rossec.participant.slave_api import SLAVE_CALLS, SlaveApi, check_slave_call
 from rossec.ros import names, tcpros
-from rossec.ros.names import ANY_TYPE, SIGNED_UPDATES, is_loopback
 from rossec.terminal import fail
 
 # A peer that says nothing holds a descriptor no longer (attack `descriptors`).
@@ -70,7 +69,7 @@ class Listener:
 
     async def start(self, address: str) -> None:
         """Listen; on loopback only when `address`, which the node registers, is loopback."""
-        bind = address if is_loopback(address) else None
+        bind = address if names.is_loopback(address) else None
         for handler, protocol in (
             (self._serve_slave, WireProtocol.HTTP),
             (self._serve_tcpros, WireProtocol.TCPROS),
@@ -105,7 +104,7 @@ class Listener:
                 check_slave_call(method, peer, self._node.name, presented[0], self._node.access, now)
                 authorized = True
         except RevocationsStale as error:
-            if method not in SIGNED_UPDATES:  # one of them ends the staleness
+            if method not in names.SIGNED_UPDATES:  # one of them ends the staleness
                 return _refused(peer, error)
         except HintedError as error:
             return _refused(peer, error)
@@ -263,7 +262,7 @@ class Node:
         for row in answer if isinstance(answer, list) else [answer]:
             match row:
                 case [str(topic), str(kind)]:
-                    found |= {topic: kind} if kind != ANY_TYPE else {}
+                    found |= {topic: kind} if kind != names.ANY_TYPE else {}
                 case _:
                     raise AnswerMalformed("a list of topics that is malformed")
         return found

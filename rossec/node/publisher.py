@@ -28,15 +28,7 @@ from rossec.node.subscriber import check_queue_size
 from rossec.participant import delivery
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, forwarded_definition, needs_definition
-from rossec.participant.delivery import (
-    NO_OPTIONS,
-    DeliveryOptions,
-    DeliveryQueue,
-    Latch,
-    Sample,
-    SharedDeflation,
-    check_carried_out,
-)
+from rossec.participant.delivery import Latch, Sample
 from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.host_types import known_type
 from rossec.participant.message_types import Message, MessageType
@@ -106,12 +98,12 @@ class Publisher:
         check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
-        self.links: dict[SubscriberConnection, SubscriberQueue | DeliveryQueue] = {}
+        self.links: dict[SubscriberConnection, SubscriberQueue | delivery.DeliveryQueue] = {}
         self._layout = layout
         self._context = context
         self._queue_size = queue_size
         self._latch: Latch[memoryview] = Latch()
-        self._deflation = SharedDeflation()
+        self._deflation = delivery.SharedDeflation()
         self._closed = False
         self._changed = asyncio.Event()
 
@@ -176,8 +168,8 @@ class Publisher:
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
 
-    def _rebuilt(self, options: DeliveryOptions, decision: Decision) -> Guard:
-        check_carried_out(options, decision)
+    def _rebuilt(self, options: delivery.DeliveryOptions, decision: Decision) -> Guard:
+        delivery.check_carried_out(options, decision)
         return self.guard(decision)
 
     def _shape(self, _decision: Decision) -> Layout | None:
@@ -190,13 +182,13 @@ class Publisher:
         decision: Decision,
         guard: Guard,
         answer: bytes,
-        options: DeliveryOptions = NO_OPTIONS,
+        options: delivery.DeliveryOptions = delivery.NO_OPTIONS,
     ) -> None:
         """Answer one admitted subscriber and send it messages until its stream ends. It is registered before
         the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, options))
         queue = (
-            DeliveryQueue(stream, options, self._queue_size, self._deflation)
+            delivery.DeliveryQueue(stream, options, self._queue_size, self._deflation)
             if options
             else SubscriberQueue(stream, self._queue_size)
         )

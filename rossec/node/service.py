@@ -31,7 +31,6 @@ from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.message_types import Message, field_names
 from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
 from rossec.ros import tcpros
-from rossec.ros.tcpros import REQUEST_LIMIT
 
 REQUEST_DEADLINE: Final = 10.0  # seconds from the beginning of a request to its end
 HANDLER_DEADLINE: Final = 60.0
@@ -305,7 +304,7 @@ class Services:
             return partial(stream.send, answer)
         guard = service.guard(decision)
         # Only now: of a peer without the right no more than a header is kept (N8).
-        stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
+        stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, tcpros.REQUEST_LIMIT))
         persistent = handshakes.is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 

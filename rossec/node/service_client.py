@@ -25,7 +25,6 @@ from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.message_types import Message
 from rossec.participant.service_types import ServiceGuard, ServiceType
 from rossec.ros import tcpros
-from rossec.ros.tcpros import MESSAGE_LIMIT
 
 CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -161,7 +160,7 @@ class ServiceClient:
                     stream, caller, self.service, kind, access, persistent=self._persistent
                 )
             handshakes.check_md5(answer, self.service, kind.md5sum)
-            stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+            stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, tcpros.MESSAGE_LIMIT))
             connection = AuthorizedConnection(stream, decision, self._guard(decision), self._guard)
             # In the table before the first request: from here on a revocation cuts it.
             self._context.connections.add(connection)

@@ -37,7 +37,6 @@ from rossec.participant.host_types import known_type
 from rossec.participant.message_types import Message, MessageType
 from rossec.ros import tcpros
 from rossec.ros.names import ANY_TYPE
-from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 QUEUE_SIZE: Final = 10
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -115,7 +114,7 @@ class Subscriber:
         self._on_close = on_close
         self._options = options
         self._size = size_of(endpoint.type)
-        self._longest = message_limit(self._size, MESSAGE_LIMIT)
+        self._longest = message_limit(self._size, tcpros.MESSAGE_LIMIT)
         self._task_set = TaskSet()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._queue: deque[bytes] = deque(maxlen=queue_size)
@@ -190,7 +189,7 @@ class Subscriber:
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
                 limit = self._longest + (delivery.OVERHEAD if self._options.deflate else 0)
-                frames = FrameReader(limit, first=tcpros.HEADER_LIMIT)
+                frames = tcpros.FrameReader(limit, first=tcpros.HEADER_LIMIT)
                 connection, answer, early = await self._handshake(stream, frames)
                 requested = requested_messages(self._options, answer, self._longest)
             except BaseException:
@@ -200,7 +199,7 @@ class Subscriber:
         try:
             with self._context.connections.track(connection):
                 self._opened(connection, answer)
-                framing, messages = Framing(frames), early
+                framing, messages = tcpros.Framing(frames), early
                 while True:
                     if requested is None:
                         self._deliver(connection, messages)
@@ -217,7 +216,7 @@ class Subscriber:
             self._ended(connection)
 
     async def _handshake(
-        self, stream: SecureStream[Identity], frames: FrameReader
+        self, stream: SecureStream[Identity], frames: tcpros.FrameReader
     ) -> tuple[PublisherConnection, Fields, list[bytes]]:
         context = self._context
         name = context.name_for(stream.peer)
@@ -232,7 +231,7 @@ class Subscriber:
         kind, now = endpoint.type, clock.now()
         decision = admit_publisher(answer, stream.peer, endpoint.topic, kind, context.access, now)
         # Of a type of fixed size a unit needs less than the most that any type may have.
-        stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
+        stream.raise_unit_limit(unit_limit(self._size, tcpros.MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants
 
         def rebuild(decision: Decision) -> Guard | None:

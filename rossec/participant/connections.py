@@ -29,7 +29,6 @@ from rossec.participant.access import Access, wire_name
 from rossec.participant.authorized import AuthorizedConnection, PeerStream, RenewedGrants, StreamT
 from rossec.participant.handshakes import caller_for
 from rossec.ros import names
-from rossec.ros.names import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
 UNSHOWN_CONNECTIONS: Final = 32
@@ -60,7 +59,7 @@ class ConnectionTable(Generic[StreamT]):
         trust_status: TrustStatus,
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
         most: int | None = None,  # connections of one peer (N8); None: `PEER_CONNECTIONS`
-        master: str = MASTER,  # which may have more
+        master: str = names.MASTER,  # which may have more
     ) -> None:
         self._trust_status = trust_status
         self._trust_status_lock = lock

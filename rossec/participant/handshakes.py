@@ -204,12 +204,14 @@ class TopicEndpoint:
     type: "MessageType"
 
 
+def _common(caller: str, key: str, name: str, type_name: str, md5sum: str) -> Fields:
+    named = {"callerid": caller, key: name, "type": type_name, "md5sum": md5sum}
+    return {each: value.encode() for each, value in named.items()}
+
+
 def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int) -> Fields:
     return {
-        "callerid": caller.encode(),
-        "topic": origin_of(endpoint.topic).encode(),
-        "type": endpoint.type.name.encode(),
-        "md5sum": endpoint.type.md5sum.encode(),
+        **_common(caller, "topic", origin_of(endpoint.topic), endpoint.type.name, endpoint.type.md5sum),
         "message_definition": endpoint.type.octets,
         "tcp_nodelay": b"1",
         FIELD: access.present(Right.SUBSCRIBE, endpoint.topic, now),
@@ -220,10 +222,7 @@ def publisher_header(
     caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int, *, latching: bool
 ) -> Fields:
     return {
-        "callerid": caller.encode(),
-        "topic": endpoint.topic.encode(),
-        "type": endpoint.type.name.encode(),
-        "md5sum": endpoint.type.md5sum.encode(),
+        **_common(caller, "topic", endpoint.topic, endpoint.type.name, endpoint.type.md5sum),
         "message_definition": endpoint.type.octets,
         "latching": b"1" if latching else b"0",
         FIELD: access.present(Right.PUBLISH, endpoint.topic, now),
@@ -308,10 +307,7 @@ def client_header(
 ) -> Fields:
     flags = {"persistent": persistent, "probe": probe}
     return {
-        "callerid": caller.encode(),
-        "service": origin_of(service).encode(),
-        "type": kind.type_name.encode(),
-        "md5sum": kind.md5sum.encode(),
+        **_common(caller, "service", origin_of(service), kind.type_name, kind.md5sum),
         **{key: b"1" for key, wanted in flags.items() if wanted},
         **caller_proof(service, access, now),
     }
@@ -321,10 +317,7 @@ def server_header(
     caller: str, service: str, kind: ExpectedService, access: HandshakeAccess, now: int
 ) -> Fields:
     return {
-        "callerid": caller.encode(),
-        "service": service.encode(),
-        "type": kind.type_name.encode(),
-        "md5sum": kind.md5sum.encode(),
+        **_common(caller, "service", service, kind.type_name, kind.md5sum),
         "request_type": f"{kind.type_name}Request".encode(),
         "response_type": f"{kind.type_name}Response".encode(),
         **provider_proof(service, access, now),

@@ -37,7 +37,6 @@ from rossec.participant.master_updates import DomainUpdates, GrantDelivery, Gran
 from rossec.participant.registrations import PublisherGrace, Retry
 from rossec.participant.renewals import prove
 from rossec.ros import names
-from rossec.ros.names import MASTER, PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 from rossec.saved_statements import DomainFiles, saved_revocations
 
@@ -59,7 +58,7 @@ class MasterSession:
     _restore: Callable[["MasterSession"], Awaitable[None]]  # called on each new connection
     _held: Callable[[], bytes]  # the signed revocation list, which the master then need not send
     _prove: Callable[[renewals.MasterCall], Awaitable[int]]  # requests proofs; how many were accepted
-    _master: str = MASTER  # the certified name of the node's own
+    _master: str = names.MASTER  # the certified name of the node's own
     _follow: Callable[[renewals.MasterCall], Awaitable[None]] | None = None  # after each heartbeat
     _explain: Callable[[], str] = str  # the cause of a failure, if the node knows it itself
     _client: RpcClient | None = field(default=None, init=False)
@@ -194,7 +193,7 @@ class MasterSession:
 class LoadedIdentity:
     """An enrolled node as its directory has it when it starts; its identity covers `name`."""
 
-    def __init__(self, home: NodeHome, name: str, master: str = MASTER) -> None:
+    def __init__(self, home: NodeHome, name: str, master: str = names.MASTER) -> None:
         self.home = home
         self.name = name
         self.master = master
@@ -382,7 +381,7 @@ class Membership:
 
     async def _present(self, new: list[bytes]) -> None:
         for batch in batches(new):
-            await self.session.call(PRESENT_GRANTS, batch)
+            await self.session.call(names.PRESENT_GRANTS, batch)
 
     def _crashed(self, error: BaseException) -> None:
         if not self._has_crashed:

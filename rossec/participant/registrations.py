@@ -14,7 +14,6 @@ from ca.errors import NameRefused
 from ca.names import MAX_NAME, check_name
 from rossec.errors import AnswerMalformed
 from rossec.ros import names
-from rossec.ros.names import canonical
 
 Params = tuple[object, ...]
 Call = tuple[str, Params]  # a method of the master, its parameters
@@ -150,7 +149,7 @@ def unheard_refusal(method: str, params: Sequence[object], answer: object) -> st
         case [code, str(status), *_] if code != 1 and method in UNHEARD:
             try:
                 for name in params[RELATIVE_NAME[method] :][:1]:
-                    check_name(canonical(str(name)))
+                    check_name(names.canonical(str(name)))
             except NameRefused as error:
                 return f"{error} ({error.hint})"
             return status

@@ -17,7 +17,6 @@ from ca.svid import build_request
 from grants.errors import GrantError
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
-from rossec.clock import format_duration
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome, ended
 from rossec.participant.access import HeldGrant, MembershipAccess
@@ -175,7 +174,7 @@ class IdentityRenewal:
         self._retry_at = now + retry_delay(held.not_before, held.not_after, longest)
         is_first, self._pause = self._pause == FIRST_PAUSE, min(2 * self._pause, LONGEST_PAUSE)
         level = logging.WARNING if now >= self._warn_at and not is_first else logging.INFO
-        left = format_duration(max(0, held.not_after - now))
+        left = clock.format_duration(max(0, held.not_after - now))
         what = f"the identity ends in {left} and is not renewed yet"
         _log.log(level, "%s: %s: %s", held.name, what, text)
         if level == logging.WARNING:

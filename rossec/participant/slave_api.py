@@ -20,7 +20,7 @@ from rossec.errors import RossecError
 from rossec.participant.access import HandshakeAccess
 from rossec.participant.handshakes import answer_for
 from rossec.ros import names
-from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, MASTER, PORTS, REVOCATION_UPDATE
+from rossec.ros.names import MASTER
 
 Answer = list[object]
 TCPROS: Final = "TCPROS"
@@ -32,7 +32,7 @@ NO_TRANSPORT: Final = (
 )
 OPEN: Final = frozenset({"requestTopic"})
 MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
-RELAY_ONLY: Final = frozenset({PORTS})
+RELAY_ONLY: Final = frozenset({names.PORTS})
 SLAVE_CALLS: Final[Mapping[str, Right]] = {
     "shutdown": Right.ADMIN,
     "getPid": Right.GRAPH,
@@ -89,11 +89,11 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
     "publisherUpdate": SlaveMethod((str, list), 0),
     "paramUpdate": SlaveMethod((str, object), 0),
     "shutdown": SlaveMethod((str,), 0),
-    REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
-    DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
-    FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
+    names.REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
+    names.DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
+    names.FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
     "requestTopic": SlaveMethod((str, list), []),
-    PORTS: SlaveMethod((), []),
+    names.PORTS: SlaveMethod((), []),
     "getName": SlaveMethod((), ""),
     "getUri": SlaveMethod((), ""),
     "getMasterUri": SlaveMethod((), ""),
