@@ -24,7 +24,7 @@ from rossec.channel.tuning import BATCH
 from rossec.errors import ConnectionHeaderRefused, NodeShutdown, RossecError
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.node.subscriber import check_queue_size
+from rossec.node.subscriber import QUEUE_SIZE, check_queue_size
 from rossec.participant import delivery
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, forwarded_definition, needs_definition
@@ -35,7 +35,6 @@ from rossec.participant.message_types import Message, MessageType
 from rossec.ros.names import ANY_TYPE
 
 LENGTH: Final = struct.Struct("<I")
-QUEUE_SIZE: Final = 10
 PATIENCE: Final = 4.0
 """Seconds a handshake waits: a subscriber gives up after five (`HANDSHAKE_DEADLINE`)."""
 

@@ -221,6 +221,7 @@ class Subscriber:
         context = self._context
         name = context.name_for(stream.peer)
         own = context.certified or context.name
+        # A gateway of the own domain is asked by the name under which it serves the alias (0035).
         endpoint = replace(self.endpoint, topic=granted_name(stream.peer, self.topic, own))
         fields = subscriber_header(name, endpoint, context.access, clock.now())
         await stream.send(tcpros.encode(fields | self._options.fields))

@@ -134,6 +134,7 @@ class TokenOpener:
 
     def _open_once(self, data: bytes, domain: str, now: int) -> Grant:
         # As `open`; the signature of one seen before is not checked again.
+        # By its root, too: under another one it is verified anew.
         seen = self._root(domain).thumbprint, sha256(data).digest()
         known = self._opened.use(seen)
         if known is not None and known.not_before <= now < known.expires:

@@ -217,6 +217,7 @@ class ConnectionTable(Generic[StreamT]):
     def _refusal(self, peer: Identity | str, now: int) -> str | None:
         if isinstance(peer, str):
             return None
+        # Either authority may end it (attack `foreign-node`).
         domains = dict.fromkeys((self._trust_status.anchors.own.domain, peer.domain))
         if not all(self._trust_status.revoked(each).isdisjoint(peer.keys) for each in domains):
             return "the peer's identity is revoked"

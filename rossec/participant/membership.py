@@ -112,6 +112,7 @@ class MasterSession:
                 if self._client is None or self._client.closed:
                     await self.open()
                     _log.info("%s: connected to the master again", self._name)
+                # A lost connection is noticed at once, and not at the next heartbeat.
                 if self._stream is not None:
                     with contextlib.suppress(TimeoutError):
                         async with asyncio.timeout(HEARTBEAT):
@@ -278,6 +279,7 @@ class Membership:
             await self.session.run()
 
         name = self._identity.name
+        # Tasks of their own: a master that hangs delays nothing that cuts connections.
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
         self.tasks.spawn(run_session(), f"{name}: master session")
