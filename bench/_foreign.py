@@ -21,6 +21,7 @@ from grants.token import Verifier, pack_chain, peek, sign_narrowing
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.handshake import EdhocConfig
+from tests.support.wire import receive
 
 DAY = 86400
 LISTED = 16  # foreign domains that the server trusts
@@ -72,8 +73,8 @@ def handshakes(seconds: float) -> dict[str, float]:
         right = Connection.responder(EdhocConfig(server, home.anchors.verify, secrets.token_bytes), now=now)
         events = 0
         while data := left.data_to_send():
-            events += len(right.receive_data(bytes(data), now))
-            events += len(left.receive_data(bytes(right.data_to_send()), now))
+            events += len(receive(right, bytes(data), now))
+            events += len(receive(left, bytes(right.data_to_send()), now))
         assert events == 2, "both ends know their peer"
 
     own, foreign = home.enroll("/viewer", now), others[-1].enroll("/viewer", now)

@@ -20,6 +20,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.channel.records import HEADER, Frame
 from rossec.ros import calls, xmlrpc
 from rossec.ros.calls import CallClient
+from tests.support.wire import receive
 
 _HEAD = (
     b"POST / HTTP/1.1\r\nHost: 127.0.0.1:11311\r\n"
@@ -104,7 +105,7 @@ class SecureLine(Line):
         self.sock.sendall(self._core.data_to_send())
 
     def _open(self, data: bytes) -> list[object]:
-        return list(self._core.receive_data(data, int(time.time())))
+        return list(receive(self._core, data, int(time.time())))
 
     def ready(self, requests: Iterable[bytes]) -> list[bytes]:
         return [b"".join(self._core.seal_unit(data)) for data in requests]

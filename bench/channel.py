@@ -30,6 +30,7 @@ from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, connect, serve
 from tests.support.contexts import unlimited
+from tests.support.wire import receive
 
 SIZES = (64, 1024, 16 * 1024, 256 * 1024, 1024 * 1024, 6 * 1024 * 1024)
 VOLUME = {64: 256 * 1024, 1024: 2 << 20}  # bytes per slice; the others below
@@ -235,7 +236,7 @@ def _one_handshake(
         for sender, receiver in ((left, right), (right, left)):
             data = sender.data_to_send()
             total += len(data)
-            receiver.receive_data(data, now)
+            receive(receiver, data, now)
     return total
 
 

@@ -50,12 +50,14 @@ class Clock:
             return host
         if counted - host > self._behind + SKEW:
             self._behind = counted - host
+            # Confirmations are dropped then: no new connection until the master confirms again (0013).
             self.setbacks += 1
         return counted
 
     def correct(self, moment: int) -> bool:
         # It is where the host's clock agrees with the other, and was set back.
         host, elapsed = self._host(), self._elapsed()
+        # Of an answer to an own call alone: a push could be delayed until it agrees with any clock (0013).
         corrects = abs(host - moment) <= SKEW and host < self.time()
         if corrects:
             self._latest, self._behind = (host, elapsed), 0.0

@@ -1,8 +1,4 @@
-"""The errors of the running system.
-
-The leaves name the cause: the peer's protocol, the peer's identity, the operator's configuration,
-or the network.
-"""
+"""The errors of the running system; leaves name the cause: a peer, its protocol, the operator, the net."""
 
 from ca.errors import HintedError
 

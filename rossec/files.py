@@ -118,6 +118,7 @@ def _disk_errors(path: Path) -> Iterator[None]:
 
 
 def commit_directory(temporary: Path, path: Path) -> None:
+    # First: after a crash a directory that has its name is whole.
     sync_directory(temporary)
     try:
         temporary.rename(path)

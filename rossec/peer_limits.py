@@ -20,6 +20,7 @@ MIN_BYTES: Final = 256 * 1024  # 35 kbit/s
 MAX_SECONDS: Final = 600
 _PERIOD: Final = 60.0
 _MAX_LINES: Final = 512
+# A share for each: one peer cannot keep the lines about others away (0012).
 _PER_SUBJECT: Final = 64
 _MAX_FIRST_LINES: Final = 1024  # beyond that limit, the first line of each subject is logged
 CAUSE: Final = "rossec_cause"  # of a record: the text and the subject to count by

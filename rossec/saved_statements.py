@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from ca import things
 from ca.certificates import TrustAnchor
 from ca.domains import MAX_LIST as MAX_DOMAINS
 from ca.domains import Anchors, open_domains
@@ -20,14 +21,6 @@ from ca.keys.signing import thumbprint
 from ca.names import check_domain
 from ca.revocation.lists import MAX_LIST
 from ca.revocation.trust_status import NO_FLOOR, Revocations, TrustStatus, open_statement
-from ca.things import (
-    MAX_STATEMENT,
-    SECRET_SIZE,
-    ThingSecret,
-    ThingStatement,
-    check_thing_name,
-    verify_statement,
-)
 from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -43,7 +36,7 @@ MAX_THINGS: Final = 4096
 KID_SIZE: Final = 2
 _ATTEMPTS: Final = 64
 
-_Known = tuple[tuple[int, int, int], ThingStatement]
+_Known = tuple[tuple[int, int, int], things.ThingStatement]
 
 
 def saved_revocations(home: NodeHome, anchor: TrustAnchor, now: int) -> Revocations:
@@ -134,7 +127,7 @@ def _read(path: Path, limit: int) -> bytes | None:
 
 
 class Loaded(NamedTuple):
-    statements: dict[str, ThingStatement]
+    statements: dict[str, things.ThingStatement]
     refused: dict[Path, HintedError]
 
 
@@ -153,7 +146,7 @@ class ThingFiles:
         self._known: dict[Path, _Known] = {}  # of the last `load`
         self.path = home.path / DIRECTORY
 
-    def install(self, data: bytes) -> ThingStatement:
+    def install(self, data: bytes) -> things.ThingStatement:
         """Store a statement, and return what it says; a second time changes nothing."""
         statement = self._verified(data)
         files.make_private_directory(self.path)
@@ -164,6 +157,7 @@ class ThingFiles:
                     held = self._read(path)
                 except HintedError:  # damaged, or of a key or an authority that this router had before
                     held = None
+                # Restored or repeated it would bring a former key back (attack `thing-statement`).
                 if held is not None and statement.not_before < held.not_before:
                     raise ThingRefused(
                         f"the statement about {statement.name} is older than the one that is here",
@@ -179,7 +173,7 @@ class ThingFiles:
 
     def load(self) -> Loaded:
         """The statements that are here, and the files that hold none."""
-        found: dict[str, ThingStatement] = {}
+        found: dict[str, things.ThingStatement] = {}
         refused: dict[Path, HintedError] = {}
         known, self._known = self._known, {}
         for path in sorted(self.path.glob("*.cose")):
@@ -192,7 +186,7 @@ class ThingFiles:
                 refused[path] = error
         return Loaded(found, refused)
 
-    def _read_once(self, path: Path, known: "dict[Path, _Known]") -> ThingStatement:
+    def _read_once(self, path: Path, known: "dict[Path, _Known]") -> things.ThingStatement:
         # As `_read`; a file that has not changed since the last time is not verified again.
         try:
             status = path.stat()
@@ -215,9 +209,9 @@ class ThingFiles:
 
     def create_secret(self, name: str) -> bytes:
         """Make the secret of a thing: 16 random octets, in a file that only its owner reads."""
-        path = self._file(check_thing_name(name), "key")
+        path = self._file(things.check_thing_name(name), "key")
         files.make_private_directory(self.path)
-        secret = secrets.token_bytes(SECRET_SIZE)
+        secret = secrets.token_bytes(things.SECRET_SIZE)
         files.create(path, secret)
         return secret
 
@@ -230,9 +224,9 @@ class ThingFiles:
                 return kid
         raise ConfigurationError("no kid is free", "take things out by: rossec border forget NAME")
 
-    def describe_secret(self, name: str, known: ThingSecret) -> Path:
+    def describe_secret(self, name: str, known: things.ThingSecret) -> Path:
         """Write what may be said about the secret of a thing, for the authority; returns where."""
-        path = self._file(check_thing_name(name), "psk")
+        path = self._file(things.check_thing_name(name), "psk")
         files.replace(path, known.description, 0o644)
         return path
 
@@ -242,16 +236,16 @@ class ThingFiles:
         missing = ConfigurationError(
             f"there is no secret of {name} in {self.path}", f"rossec border add {name} --psk"
         )
-        secret = files.read_own(path, SECRET_SIZE, missing)
+        secret = files.read_own(path, things.SECRET_SIZE, missing)
         if path.stat().st_mode & 0o077:
             raise ConfigurationError(f"{path} can be read by others", f"chmod 600 {path}")
         return secret
 
-    def secret_of(self, statement: ThingStatement) -> bytes:
+    def secret_of(self, statement: things.ThingStatement) -> bytes:
         """The secret that a statement is about."""
         secret = self.secret(statement.name)
         said = statement.credential
-        if not isinstance(said, ThingSecret) or not said.matches(secret):
+        if not isinstance(said, things.ThingSecret) or not said.matches(secret):
             raise ThingRefused(
                 f"the statement about {statement.name} is not about the secret that is here",
                 "make the statement anew from what `rossec border add` wrote",
@@ -263,16 +257,16 @@ class ThingFiles:
 
         The identity of its node stays.
         """
-        check_thing_name(name)
+        things.check_thing_name(name)
         paths = [self._file(name, suffix) for suffix in ("cose", "key", "psk")]
         there = [path for path in paths if path.exists()]
         for path in there:
             path.unlink()
         return bool(there)
 
-    def _verified(self, data: bytes) -> ThingStatement:
+    def _verified(self, data: bytes) -> things.ThingStatement:
         anchor = self._home.anchor()
-        statement = verify_statement(data, anchor.public_key, domain=anchor.domain)
+        statement = things.verify_statement(data, anchor.public_key, domain=anchor.domain)
         if statement.border != thumbprint(self._home.signer().public_key):
             raise ThingRefused(
                 f"the statement about {statement.name} is for another border router",
@@ -285,9 +279,9 @@ class ThingFiles:
             )
         return statement
 
-    def _read(self, path: Path) -> ThingStatement:
+    def _read(self, path: Path) -> things.ThingStatement:
         missing = ConfigurationError(f"there is no file {path}")
-        return self._verified(files.read_own(path, MAX_STATEMENT, missing))
+        return self._verified(files.read_own(path, things.MAX_STATEMENT, missing))
 
     def _file(self, name: str, suffix: str) -> Path:
         text = name.lstrip("/").replace("/", ".")

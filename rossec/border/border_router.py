@@ -180,12 +180,6 @@ class BorderNode(Node):
         super().__init__(name, environ=environ)
         self._on_news, self._on_session = on_news, on_session
 
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        try:
-            super().revocations_arrived(revocations, timestamp, master)
-        finally:
-            self._on_news()
-
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
         try:
             super().push_arrived(method, params, master)

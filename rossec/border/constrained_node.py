@@ -333,13 +333,10 @@ class ThingNode:
 
     def parameter_changed(self, key: str, value: object) -> None: ...
 
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        # A timestamp alone is of no use: that node has one by its own session.
-        if revocations:
-            self._shared.take_push(REVOCATION_UPDATE, (revocations, timestamp), master)
-
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        self._shared.take_push(method, params, master)
+        # A timestamp alone is of no use: that node has one by its own session.
+        if method != REVOCATION_UPDATE or params[0]:
+            self._shared.take_push(method, params, master)
 
     def shutdown_requested(self, reason: str) -> None:
         _log.warning("%s: the master ended this node: %s", self.name, reason)

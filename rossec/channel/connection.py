@@ -11,6 +11,8 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Final, Generic, Protocol, Self
 
 from ca.errors import HintedError
+from rossec import errors
+from rossec.channel import negotiation
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder
 from rossec.channel.edhoc.messages import MAX_MESSAGE_1, UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
@@ -20,19 +22,8 @@ from rossec.channel.negotiation import (
     HANDSHAKING,
     PREAMBLE,
     SENDING,
-    TABLE,
-    UNAUTHENTICATED,
-    Authenticated,
-    Closed,
-    ConnectionRenewals,
     ConnectionState,
     Event,
-    GrantsPresented,
-    IdentityRenewed,
-    Negotiation,
-    Preamble,
-    PresentedRenewalRefused,
-    Row,
     UnitReceived,
 )
 from rossec.channel.opening import WireProtocol
@@ -49,16 +40,6 @@ from rossec.channel.records import (
 )
 from rossec.channel.session import FIRST, SMALL, ReceiveBuffer, Session
 from rossec.channel.tuning import ONE_RECORD
-from rossec.errors import (
-    ChannelClosed,
-    ChannelError,
-    ConnectionTruncated,
-    HandshakeFailed,
-    HandshakeTimeout,
-    LimitExceeded,
-    PeerCredentialUnknown,
-    ProtocolViolation,
-)
 
 HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
 _OPEN_BUFFER: Final = 64 * 1024
@@ -69,7 +50,7 @@ _DEFAULTS: Final = ChannelLimits()
 _BOTH: Final = frozenset(WireProtocol)
 _RENEWING: Final = frozenset((Frame.IDENTITY.value, Frame.GRANTS.value))
 _ROWS: Final = {
-    state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
+    state: {kind.value: row for (there, kind), row in negotiation.TABLE.items() if there is state}
     for state in ConnectionState
 }
 
@@ -89,14 +70,14 @@ class Connection(Generic[PeerT]):
 
     def __init__(
         self,
-        preamble: Preamble,
-        negotiation: Negotiation[PeerT],
+        preamble: negotiation.Preamble,
+        steps: negotiation.Negotiation[PeerT],
         now: int,
         limits: ChannelLimits,
         buffer: int = SMALL,
     ) -> None:
         self._preamble = preamble
-        self._negotiation = negotiation
+        self._negotiation = steps
         self._limits = limits
         self._now = now
         self._handshake_deadline = now + limits.handshake_seconds
@@ -106,7 +87,7 @@ class Connection(Generic[PeerT]):
         self._peer: PeerT | None = None
         self._session: Session | None = None
         self._sealing = False
-        self._renewals: ConnectionRenewals[PeerT] | None = None
+        self._renewals: negotiation.ConnectionRenewals[PeerT] | None = None
         self._own_chain: Sequence[bytes] = ()
         self.streams: OpenStreams | None = None
         self.state = ConnectionState.OPENING
@@ -128,8 +109,8 @@ class Connection(Generic[PeerT]):
         `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
         accepted. With `renews` the peer is told that renewed certificates and grants are taken here.
         """
-        edhoc, preamble = Initiator(config), Preamble(opening, None)
-        connection = cls(preamble, Negotiation(edhoc), now, limits)
+        edhoc, preamble = Initiator(config), negotiation.Preamble(opening, None)
+        connection = cls(preamble, negotiation.Negotiation(edhoc), now, limits)
         connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.message_1())]
         return connection
 
@@ -144,8 +125,8 @@ class Connection(Generic[PeerT]):
     ) -> Self:
         """The side that was connected to; `accept` says which openings are accepted. With `own_dials` this
         node may connect to itself, for dials noted there. `renews`: as for the initiator."""
-        preamble = Preamble(WireProtocol.TCPROS, accept)
-        return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
+        preamble = negotiation.Preamble(WireProtocol.TCPROS, accept)
+        return cls(preamble, negotiation.Negotiation(Responder(config)), now, limits, FIRST)
 
     @property
     def protocol(self) -> WireProtocol:
@@ -169,7 +150,7 @@ class Connection(Generic[PeerT]):
 
     def _open_session(self) -> Session:
         if self._session is None:
-            raise ChannelClosed("the connection is closed")
+            raise errors.ChannelClosed("the connection is closed")
         return self._session
 
     # -- sending
@@ -177,12 +158,8 @@ class Connection(Generic[PeerT]):
     def seal_unit(self, *pieces: Bytes, reuse: bool = False) -> Iterator[Bytes]:
         # With `reuse` a record holds until the next is taken: write it, or copy it, before that. A unit that
         # has begun must be finished: if that is not possible, drop the connection.
-        self.check_unit(pieces)
-        return self._sealed(pieces, reuse=reuse)
-
-    def check_unit(self, pieces: Sequence[Bytes]) -> None:
-        # Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
         self._sendable().check_unit(pieces)
+        return self._sealed(pieces, reuse=reuse)
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
         # None: it does not apply, use `seal_unit`.
@@ -193,7 +170,7 @@ class Connection(Generic[PeerT]):
 
     def _sealed(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
         if self._sealing:
-            raise ProtocolViolation("a second unit in the middle of the first")
+            raise errors.ProtocolViolation("a second unit in the middle of the first")
         self._sealing = True
         try:
             for record in self._sendable().seal_unit(pieces, reuse=reuse):
@@ -201,13 +178,13 @@ class Connection(Generic[PeerT]):
                 yield b"".join((self.data_to_send(), record)) if self._out else record
                 self._sendable()
             self._sealing = False  # it stays set when a unit is abandoned
-        except LimitExceeded:
+        except errors.LimitExceeded:
             self._terminate()
             raise
 
     def _sendable(self) -> Session:
         if self.state not in SENDING:
-            raise ChannelClosed("the connection is closed")
+            raise errors.ChannelClosed("the connection is closed")
         return self._open_session()
 
     def send_unit(self, *pieces: Bytes) -> None:
@@ -234,7 +211,7 @@ class Connection(Generic[PeerT]):
         if not (self.takes_renewals and self.protocol is WireProtocol.TCPROS):
             return False
         if not 0 < len(data) <= MAX_GRANTS:
-            raise LimitExceeded(f"{len(data)} bytes of grants, where 1 to {MAX_GRANTS} are allowed")
+            raise errors.LimitExceeded(f"{len(data)} bytes of grants, where 1 to {MAX_GRANTS} are allowed")
         self._out.append(self._open_session().seal_renewal(Frame.GRANTS, data))
         return True
 
@@ -288,12 +265,12 @@ class Connection(Generic[PeerT]):
             return
         try:
             if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
-                raise HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
+                raise errors.HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
             if now >= self._peer.not_after:
-                raise LimitExceeded("the peer's certificate has expired", "renew it")
+                raise errors.LimitExceeded("the peer's certificate has expired", "renew it")
             self._session.check_progress(now, reading=reading)
             self._out.append(self._session.renew(now))
-        except ChannelError:
+        except errors.ChannelError:
             self._terminate()
             raise
 
@@ -312,29 +289,17 @@ class Connection(Generic[PeerT]):
     def get_buffer(self) -> memoryview:
         return self._buffer.free()
 
-    def receive_data(self, data: Bytes, now: int) -> list[Event[PeerT]]:
-        """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy."""
-        events: list[Event[PeerT]] = []
-        rest = memoryview(data)
-        while len(rest) > 0:
-            room = self._buffer.free()
-            count = min(len(room), len(rest))
-            room[:count] = rest[:count]
-            rest = rest[count:]
-            events += self.buffer_updated(count, now)
-        return events
-
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
         self._now = now
         self._buffer.filled(count)
         events = self._events = []
         try:
             self._process_frames()
-        except ChannelError as error:
-            refusal = _UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED
+        except errors.ChannelError as error:
+            refusal = _UNKNOWN if isinstance(error, errors.PeerCredentialUnknown) else _REFUSED
             # End; send an error to a peer not authenticated yet, unless it sent one first.
-            answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
-            out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
+            answer = self.state in negotiation.UNAUTHENTICATED and not self._negotiation.peer_sent_error
+            out = self._out if self.state in negotiation.UNAUTHENTICATED | PREAMBLE else []
             self._terminate()
             self._out = [*out, refusal] if answer else out
             raise
@@ -350,11 +315,11 @@ class Connection(Generic[PeerT]):
         opened = self.state is ConnectionState.OPEN
         self._terminate()
         if opened:
-            raise ConnectionTruncated(
+            raise errors.ConnectionTruncated(
                 "the connection ended without the peer's close",
                 "data may be missing: the peer crashed, or something reset the connection",
             )
-        raise HandshakeFailed("the peer ended the connection during the handshake", HINT_SILENT)
+        raise errors.HandshakeFailed("the peer ended the connection during the handshake", HINT_SILENT)
 
     def _process_frames(self) -> None:
         if self.state in PREAMBLE:
@@ -384,17 +349,17 @@ class Connection(Generic[PeerT]):
         if self.state in ENDED:
             buffer.consume(len(buffer))
 
-    def _parse_header(self, head: bytes) -> tuple[Row, int]:
+    def _parse_header(self, head: bytes) -> tuple[negotiation.Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
         if row is None or (head[0] >> 4 in _RENEWING and self._renewals is None):
-            raise ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
+            raise errors.ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
         epoch = 0 if self._session is None else self._session.receive_epoch
         length = check_header(head, epoch)
         if self.state is ConnectionState.WAIT_1 and length > MAX_MESSAGE_1:
-            raise ProtocolViolation("a frame of a forbidden length")
+            raise errors.ProtocolViolation("a frame of a forbidden length")
         return row, length
 
-    def _handle_frame(self, row: Row, head: bytes, body: memoryview) -> None:
+    def _handle_frame(self, row: negotiation.Row, head: bytes, body: memoryview) -> None:
         name, following = row
         if self.state in HANDSHAKING:
             step = getattr(self._negotiation, name)(bytes(body), self._now)
@@ -402,7 +367,7 @@ class Connection(Generic[PeerT]):
                 self._peer = step.peer
                 self._buffer.enlarge()
                 self._session = self._negotiation.session(self._limits, self._now)
-                self._events.append(Authenticated(step.peer))
+                self._events.append(negotiation.Authenticated(step.peer))
             elif step.state is ConnectionState.WAIT_3:
                 self._buffer.enlarge(SMALL)
             if step.reply:
@@ -442,22 +407,22 @@ class Connection(Generic[PeerT]):
         if self._peer is not None:
             try:
                 self._peer = renewals.identity(data, self._peer, self._now)
-                self._events.append(IdentityRenewed(self._peer))
+                self._events.append(negotiation.IdentityRenewed(self._peer))
             except HintedError as error:
-                self._events.append(PresentedRenewalRefused(error.bare()))
+                self._events.append(negotiation.PresentedRenewalRefused(error.bare()))
         return ConnectionState.OPEN
 
     def _on_grants(self, head: bytes, body: memoryview) -> ConnectionState:
         _, data = self._renewal(head, body)
         if self.protocol is not WireProtocol.TCPROS:
-            raise ProtocolViolation("grants on a connection for calls")
-        self._events.append(GrantsPresented(data))
+            raise errors.ProtocolViolation("grants on a connection for calls")
+        self._events.append(negotiation.GrantsPresented(data))
         return ConnectionState.OPEN
 
-    def _renewal(self, head: bytes, body: memoryview) -> tuple[ConnectionRenewals[PeerT], bytes]:
+    def _renewal(self, head: bytes, body: memoryview) -> tuple[negotiation.ConnectionRenewals[PeerT], bytes]:
         data = self._open_session().open_renewal(head, body)
         if self._renewals is None:
-            raise ProtocolViolation("a renewal where none is taken")
+            raise errors.ProtocolViolation("a renewal where none is taken")
         self._renewals.charge(self._now)
         return self._renewals, data
 
@@ -466,5 +431,5 @@ class Connection(Generic[PeerT]):
         session.close(head, body)
         self._out.append(session.close_record())
         self._session = None
-        self._events.append(Closed())
+        self._events.append(negotiation.Closed())
         return ConnectionState.CLOSED

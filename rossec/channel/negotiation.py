@@ -13,36 +13,14 @@ from typing import Final, Generic, NamedTuple, TypeAlias, cast
 
 from ca.encoding import decode
 from ca.errors import EncodingError, HintedError
+from rossec import errors
+from rossec.channel import opening
+from rossec.channel.edhoc import messages
 from rossec.channel.edhoc.credentials import PeerT, Renews, Verify, by_value, encode_id_cred, x5chain
 from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
-from rossec.channel.edhoc.messages import (
-    MAX_MESSAGE,
-    UNKNOWN_CREDENTIAL,
-    WRONG_SUITE,
-    decode_error,
-    encode_error,
-    suites_item,
-)
-from rossec.channel.opening import (
-    MAX_OPENING,
-    PlainCaller,
-    Verdict,
-    WireProtocol,
-    classify_answer,
-    classify_caller,
-    first_bytes,
-    refusal,
-)
+from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits, Epochs, Frame, frame
 from rossec.channel.session import ReceiveBuffer, Session
-from rossec.errors import (
-    HandshakeFailed,
-    IdentityRefused,
-    LimitExceeded,
-    OwnCredentialUnknown,
-    PeerRefused,
-    PlainPeer,
-)
 
 # A peer may present so many renewals at once, and then one in so many seconds: each costs signatures to
 # verify.
@@ -51,7 +29,6 @@ SECONDS_EACH: Final = 2
 
 _HINT_REFUSED: Final = "see the peer's log: it does not give reasons to an untrusted peer"
 _HINT_AGAIN: Final = "connect again: the whole certificate will be sent"
-_HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
 
 
 class ConnectionState(Enum):
@@ -162,16 +139,16 @@ class ConnectionRenewals(Generic[PeerT]):
         self._charged_at = now
         self._left = min(MOST_AT_ONCE * SECONDS_EACH, self._left + passed) - SECONDS_EACH
         if self._left < 0:
-            raise LimitExceeded("the peer presents certificates or grants too often")
+            raise errors.LimitExceeded("the peer presents certificates or grants too often")
 
     def identity(self, data: bytes, held: PeerT, now: int) -> PeerT:
         try:
-            value = decode(data, limit=MAX_MESSAGE)
+            value = decode(data, limit=messages.MAX_MESSAGE)
         except EncodingError as error:
-            raise HandshakeFailed(f"an unreadable certificate: {error}") from None
+            raise errors.HandshakeFailed(f"an unreadable certificate: {error}") from None
         renewed = self._verify(x5chain(value), now)
         if not self._renews(renewed, held):
-            raise IdentityRefused(
+            raise errors.IdentityRefused(
                 "the certificate is another node's, not this one's renewed",
                 "a certificate with another key or name needs a new connection",
             )
@@ -189,7 +166,7 @@ class Preamble:
 
     def __init__(self, protocol: WireProtocol, accept: Collection[WireProtocol] | None) -> None:
         self.protocol = protocol
-        self._reply = b"" if accept is not None else first_bytes(protocol)
+        self._reply = b"" if accept is not None else opening.first_bytes(protocol)
         self._accept = accept
         self._drain = 0
 
@@ -199,14 +176,14 @@ class Preamble:
 
     def feed(self, buffer: ReceiveBuffer, state: ConnectionState) -> ConnectionState:
         if state is ConnectionState.OPENING:
-            prefix = bytes(buffer.unread()[:MAX_OPENING])
+            prefix = bytes(buffer.unread()[: opening.MAX_OPENING])
             if self._accept is None:
-                length = classify_answer(prefix, self.protocol)
+                length = opening.classify_answer(prefix, self.protocol)
                 if length is None:
                     return ConnectionState.OPENING
                 buffer.consume(length)
                 return ConnectionState.WAIT_2
-            state = self._call(buffer, classify_caller(prefix), self._accept)
+            state = self._call(buffer, opening.classify_caller(prefix), self._accept)
         if state is ConnectionState.DRAINING:
             count = min(self._drain, len(buffer))
             buffer.consume(count)
@@ -216,12 +193,12 @@ class Preamble:
         return state
 
     def _call(
-        self, buffer: ReceiveBuffer, verdict: Verdict, accept: Collection[WireProtocol]
+        self, buffer: ReceiveBuffer, verdict: opening.Verdict, accept: Collection[WireProtocol]
     ) -> ConnectionState:
         if verdict is None:
             return ConnectionState.OPENING
         self.protocol = verdict.protocol
-        if isinstance(verdict, PlainCaller):
+        if isinstance(verdict, opening.PlainCaller):
             self._drain = verdict.drain
             return ConnectionState.DRAINING
         if verdict.protocol not in accept:
@@ -231,8 +208,10 @@ class Preamble:
         return ConnectionState.WAIT_1
 
     def _refuse(self) -> None:
-        self._reply = refusal(self.protocol)
-        raise PlainPeer(f"a plain {self.protocol.name} peer called and was refused", _HINT_PLAIN)
+        self._reply = opening.refusal(self.protocol)
+        raise errors.PlainPeer(
+            f"a plain {self.protocol.name} peer called and was refused", opening.HINT_PLAIN
+        )
 
 
 class NegotiationStep(NamedTuple, Generic[PeerT]):
@@ -271,7 +250,7 @@ class Negotiation(Generic[PeerT]):
             if self._retried:
                 raise
             self._retried = True
-            text = encode_error(WRONG_SUITE, suites_item(error.suites))
+            text = messages.encode_error(messages.WRONG_SUITE, messages.suites_item(error.suites))
             return NegotiationStep(ConnectionState.WAIT_1, frame(Frame.ERROR, text))
 
     def on_message_2(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
@@ -294,13 +273,13 @@ class Negotiation(Generic[PeerT]):
     def on_error(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
         # Fail, or retry where the peer only requires another suite.
         self.peer_sent_error = True
-        code, reason, suites = decode_error(body)
+        code, reason, suites = messages.decode_error(body)
         edhoc = self._edhoc
-        if code == UNKNOWN_CREDENTIAL:
-            raise OwnCredentialUnknown(f"the peer refused the handshake: {reason}", _HINT_AGAIN)
+        if code == messages.UNKNOWN_CREDENTIAL:
+            raise errors.OwnCredentialUnknown(f"the peer refused the handshake: {reason}", _HINT_AGAIN)
         fresh = isinstance(edhoc, Initiator) and not edhoc.answered and not self._retried
-        if code != WRONG_SUITE or not fresh:
-            raise PeerRefused(f"the peer refused the handshake: {reason}", _HINT_REFUSED)
+        if code != messages.WRONG_SUITE or not fresh:
+            raise errors.PeerRefused(f"the peer refused the handshake: {reason}", _HINT_REFUSED)
         self._edhoc = renewed = cast("Initiator[PeerT]", edhoc).after_wrong_suite(suites)
         self._retried, self.peer_sent_error = True, False
         return NegotiationStep(ConnectionState.WAIT_2, frame(Frame.HANDSHAKE, renewed.message_1()))

@@ -34,7 +34,7 @@ REFUSAL: Final = (
 VARIABLE: Final = "ROSSEC_POST_QUANTUM"
 DEFAULT: Final = "off"
 _ONE_OF: Final = f"one of: {', '.join(POST_QUANTUM)}"
-_HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
+HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
 
 
 class WireProtocol(Enum):
@@ -145,7 +145,7 @@ def classify_answer(data: bytes, protocol: WireProtocol) -> int | None:
         if protocol is WireProtocol.HTTP and data[: len(_SWITCH)] == _SWITCH:
             return len(_SWITCH)
         status = printable(data.split(b"\r\n", 1)[0].decode("latin-1"))
-        raise PlainPeer(f"the peer is a plain HTTP server and says: {status}", _HINT_PLAIN)
+        raise PlainPeer(f"the peer is a plain HTTP server and says: {status}", HINT_PLAIN)
     if data[2:4] == b"\0\0":
         length = 4 + int.from_bytes(data[:4], "little")
         wanted = min(length, MAX_OPENING)
@@ -159,9 +159,9 @@ def classify_answer(data: bytes, protocol: WireProtocol) -> int | None:
                 said = f"says: {printable(value.decode(errors='replace'))}"
                 break
             body = body[4 + length :]
-        raise PlainPeer(f"the peer is a plain ROS node and {said}", _HINT_PLAIN)
+        raise PlainPeer(f"the peer is a plain ROS node and {said}", HINT_PLAIN)
     if protocol is WireProtocol.HTTP:
-        raise PlainPeer("the peer does not answer in HTTP", _HINT_PLAIN)
+        raise PlainPeer("the peer does not answer in HTTP", HINT_PLAIN)
     return 0
 
 

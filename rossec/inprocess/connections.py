@@ -189,8 +189,7 @@ class Connections:
             sock.raise_unit_limit(max_unit_size(kind._response_class))  # noqa: SLF001 - rospy's
             return AuthorizedConnection(sock, decision, None, partial(self._refilter, sock, kind))
         subscribed = definition_of(protocol.recv_data_class)
-        expected = handshakes.ExpectedTopic(name, subscribed.name, subscribed.md5sum)
-        decision = handshakes.admit_publisher(fields, peer, expected, access, now())
+        decision = handshakes.admit_publisher(fields, peer, name, subscribed, access, now())
         delivery.accepted_options(fields, delivery.NO_OPTIONS)
         claimed = definitions.from_header(fields)
 

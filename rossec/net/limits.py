@@ -60,16 +60,14 @@ class HalfOpen:
     total: int = 512
 
 
+@dataclass(eq=False, slots=True)
 class HalfOpenSlot:
     """One half-open connection; made by `HalfOpenCount.admit`."""
 
-    __slots__ = ("_count", "address", "close", "source")
-
-    def __init__(self, count: "HalfOpenCount", source: str, address: str) -> None:
-        self._count = count
-        self.source = source
-        self.address = address
-        self.close: Callable[[], None] | None = None  # closes its socket at once, where that can be done
+    _count: "HalfOpenCount"
+    source: str
+    address: str
+    close: Callable[[], None] | None = None  # closes its socket at once, where that can be done
 
     def linger(self) -> None:
         self._count.lingers(self)
@@ -147,6 +145,7 @@ class HalfOpenCount:
         if own_full:  # the oldest slot of the address that has most, if it has more than `address` would have
             counts = Counter(slot.address for slot in own)
             busiest = max(counts, key=counts.__getitem__)
+            # A share like everybody's ends nobody else's (0049).
             if counts[busiest] <= counts[address] + 1:
                 return None
             return next((slot for slot in own if slot.address == busiest and slot.close is not None), None)

@@ -10,6 +10,7 @@ import logging
 import os
 import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from types import TracebackType
 from typing import Final, Self
@@ -32,66 +33,43 @@ from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service,
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
+from rossec.participant import handshakes
 from rossec.participant.access import Access
 from rossec.participant.authorized import memory_scope
 from rossec.participant.connections import ConnectionTable, Dialer, OwnAddresses, serve_peer
 from rossec.participant.delivery import DeliveryOptions, carried_out, requested_options
-from rossec.participant.handshakes import (
-    TopicEndpoint,
-    admit_subscriber,
-    check_type,
-    publisher_header,
-    requested_topic,
-)
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.message_types import message_type
 from rossec.participant.registrations import PublisherGrace
 from rossec.participant.service_types import service_type
 from rossec.participant.slave_api import SLAVE_CALLS, SlaveApi, check_slave_call
 from rossec.ros import names, tcpros
-from rossec.ros.names import ANY_TYPE, SIGNED_UPDATES, is_loopback
 from rossec.terminal import fail
 
+# A peer that says nothing holds a descriptor no longer (attack `descriptors`).
 HEADER_DEADLINE: Final = 5.0
 
 _log = logging.getLogger("rossec.node")
 
 
+@dataclass(eq=False)
 class Listener:
     """Accepts the connections of other nodes: to the slave API, and by TCPROS to topics and services.
 
     A refused peer receives the error about its own grants, which reveals nothing of what this node has.
     """
 
-    def __init__(
-        self,
-        node: NodeContext,
-        secure: SecureContext[Identity],
-        publishers: Mapping[str, Publisher],
-        services: Services,
-        slave: SlaveApi,
-        own_addresses: OwnAddresses,
-    ) -> None:
-        self._node = node
-        self._access = node.access
-        self._secure = secure
-        self._publishers = publishers
-        self._services = services
-        self._slave = slave
-        self._own_addresses = own_addresses
-        self._servers: list[SecureServer[Identity]] = []
-
-    @property
-    def slave_port(self) -> int:
-        return self._servers[0].port
-
-    @property
-    def topic_port(self) -> int:
-        return self._servers[1].port
+    _node: NodeContext
+    _secure: SecureContext[Identity]
+    _publishers: Mapping[str, Publisher]
+    _services: Services
+    _slave: SlaveApi
+    _own_addresses: OwnAddresses
+    _servers: list[SecureServer[Identity]] = field(default_factory=list, init=False)
 
     async def start(self, address: str) -> None:
         """Listen; on loopback only when `address`, which the node registers, is loopback."""
-        bind = address if is_loopback(address) else None
+        bind = address if names.is_loopback(address) else None
         for handler, protocol in (
             (self._serve_slave, WireProtocol.HTTP),
             (self._serve_tcpros, WireProtocol.TCPROS),
@@ -99,6 +77,7 @@ class Listener:
             server = serve(self._node.connections.bounded(handler), bind, 0, self._secure, protocol)
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
+        self.slave_port, self.topic_port = (server.port for server in self._servers)
 
     async def close(self) -> None:
         for server in self._servers:
@@ -106,7 +85,7 @@ class Listener:
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         presented: list[bytes] = []  # the grants the peer has presented on this connection
-        await serve_peer(stream, partial(self._call, presented), self._access)
+        await serve_peer(stream, partial(self._call, presented), self._node.access)
 
     async def _call(
         self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
@@ -114,18 +93,18 @@ class Listener:
         now = clock.now()
         authorized = False
         try:
-            self._access.check_peer(peer, now)  # at each call: a connection may be older than the list
+            self._node.access.check_peer(peer, now)  # at each call: a connection may be older than the list
             match method, params:
                 case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented[:] = [grants]
                     return [1, "", 0]
                 case _:
                     pass
-            if presented and method in SLAVE_CALLS and not self._access.is_master(peer):
-                check_slave_call(method, peer, self._node.name, presented[0], self._access, now)
+            if presented and method in SLAVE_CALLS and not self._node.access.is_master(peer):
+                check_slave_call(method, peer, self._node.name, presented[0], self._node.access, now)
                 authorized = True
         except RevocationsStale as error:
-            if method not in SIGNED_UPDATES:  # one of them ends the staleness
+            if method not in names.SIGNED_UPDATES:  # one of them ends the staleness
                 return _refused(peer, error)
         except HintedError as error:
             return _refused(peer, error)
@@ -141,6 +120,7 @@ class Listener:
             return
         except HintedError as error:
             _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
+            # It is about the peer's own grants: nothing of what exists here (attack `existence-oracle`).
             await stream.send(tcpros.error_header(f"rossec: {error}"))
             return
         await serve()
@@ -151,16 +131,19 @@ class Listener:
         if "service" not in fields:
             now = clock.now()
             # The right before the look-up: without it a peer does not learn what is published here (N5).
-            decision = admit_subscriber(fields, stream.peer, self._access, now)
-            publisher = self._publishers.get(requested_topic(fields))
+            decision = handshakes.admit_subscriber(fields, stream.peer, self._node.access, now)
+            topic = handshakes.requested_topic(fields)
+            publisher = self._publishers.get(topic)
             if publisher is None:
-                raise ConnectionHeaderRefused(f"{self._node.name} does not publish {requested_topic(fields)}")
+                raise ConnectionHeaderRefused(f"{self._node.name} does not publish {topic}")
             options = carried_out(requested_options(fields), decision)
             await publisher.ready()
-            check_type(fields, publisher.endpoint.expected)
+            handshakes.check_type(fields, topic, publisher.endpoint.type)
             guard = publisher.guard(decision)
             name = self._node.name_for(stream.peer)
-            answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
+            answer = handshakes.publisher_header(
+                name, publisher.endpoint, self._node.access, now, latching=publisher.latch
+            )
             head = tcpros.encode(answer | options.fields)
             return partial(publisher.serve, stream, decision, guard, head, options)
         if "topic" in fields:
@@ -248,6 +231,7 @@ class Node:
                 self._environ,
                 lambda error: _log.warning("%s: %s (%s)", self.name, error, error.hint),
             )
+            # The session first: the master checks a node's grants before it registers anything (0006).
             stream = await self._membership.session.open()
             self._host = address or stream.local_address
             await self._listener.start(self._host)
@@ -265,27 +249,20 @@ class Node:
     async def publisher(
         self, topic: str, type_name: str, *, latch: bool = False, queue_size: int = 10
     ) -> Publisher:
-        """Publish messages of `type_name` on `topic`.
-
-        Raises:
-            MessageError, RossecError: unknown type, a second publisher of the topic, or the
-                master refuses.
-        """
-        endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
+        """Publish messages of `type_name` on `topic`. Raises MessageError, RossecError: unknown type, a
+        second publisher of the topic, or the master refuses."""
+        endpoint = handshakes.TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self.topics.publish(endpoint, latch=latch, queue_size=queue_size)
 
     async def topic_types(self) -> dict[str, str]:
-        """The topics that have a publisher or subscriber, and that this node may see: their types.
-
-        Raises:
-            RossecError: the master refuses, or is out of reach.
-        """
+        """The topics that have a publisher or subscriber, and that this node may see: their types. Raises
+        RossecError: the master refuses, or is out of reach."""
         answer = await self._context.call("getTopicTypes")
         found: dict[str, str] = {}
         for row in answer if isinstance(answer, list) else [answer]:
             match row:
                 case [str(topic), str(kind)]:
-                    found |= {topic: kind} if kind != ANY_TYPE else {}
+                    found |= {topic: kind} if kind != names.ANY_TYPE else {}
                 case _:
                     raise AnswerMalformed("a list of topics that is malformed")
         return found
@@ -302,14 +279,12 @@ class Node:
     ) -> Subscriber:
         """Receive messages of `type_name` on `topic`: `async for message in subscriber`.
 
-        What each publisher is asked for: at most `rate` messages a second, of those that wait for
-        a slow line only the `newest`, messages that are compressed (`deflate`).
-
-        Raises:
-            MessageError, RossecError: unknown type, a wrong rate, or the master refuses.
+        What each publisher is asked for: at most `rate` messages a second, of those that wait for a slow line
+        only the `newest`, messages that are compressed (`deflate`). Raises MessageError, RossecError: unknown
+        type, a wrong rate, or the master refuses.
         """
         options = DeliveryOptions(rate, newest, deflate)
-        endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
+        endpoint = handshakes.TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self.topics.subscribe(endpoint, queue_size=queue_size, options=options)
 
     async def service(
@@ -321,12 +296,8 @@ class Node:
         concurrency: int = CONCURRENCY,
         deadline: float = HANDLER_DEADLINE,
     ) -> Service:
-        """Provide the service `name`: `handler(request)` returns the response; see `Service`.
-
-        Raises:
-            MessageError, RossecError: unknown type, a second provider of the service, or the
-                master refuses.
-        """
+        """Provide the service `name`: `handler(request)` returns the response; see `Service`. Raises
+        MessageError, RossecError: unknown type, a second provider of the service, or the master refuses."""
         return await self.services.provide(
             self.settings.resolve(name),
             service_type(type_name),
@@ -338,11 +309,8 @@ class Node:
     def client(
         self, name: str, type_name: str, *, persistent: bool = False, deadline: float = CALL_DEADLINE
     ) -> ServiceClient:
-        """Call the service `name`: `response = await client(data=True)`; see `ServiceClient`.
-
-        Raises:
-            MessageError: unknown type.
-        """
+        """Call the service `name`: `response = await client(data=True)`; see `ServiceClient`. Raises
+        MessageError: unknown type."""
         return self.services.client(
             self.settings.resolve(name), service_type(type_name), persistent=persistent, deadline=deadline
         )
@@ -352,12 +320,9 @@ class Node:
         name: str,
         timeout: float | None = None,  # noqa: ASYNC109 - rospy's name and meaning
     ) -> None:
-        """Return as soon as a provider of the service `name` answers.
-
-        Raises:
-            ServiceUnavailable: none did within `timeout` seconds.
-            HintedError: this node may not call it, or the provider may not provide it.
-        """
+        """Return as soon as a provider of the service `name` answers. Raises ServiceUnavailable: none did
+        within `timeout` seconds; HintedError: this node may not call it, or the provider may not provide
+        it."""
         await self.services.wait_for(self.settings.resolve(name), within=timeout)
 
     async def wait_ended(self) -> None:
@@ -383,10 +348,6 @@ class Node:
 
     def parameter_changed(self, key: str, value: object) -> None:
         self.params.changed(key, value)
-
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take a newer list and a fresh timestamp, then close connections that must end."""
-        self._membership.update_revocations(revocations, timestamp, master)
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
         self._membership.take_push(method, params, master)
@@ -428,6 +389,7 @@ class Node:
         await self.params.restore()
 
     async def rights_changed(self) -> None:
+        # What was refused may be allowed now: everything is registered again.
         await self.restore()
 
     def maintain(self) -> None:

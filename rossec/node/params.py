@@ -35,12 +35,9 @@ class NodeParameters:
         self._subscriptions: dict[str, list[ParameterSubscription]] = {}
 
     async def get(self, name: str, default: Value = _REQUIRED) -> Value:
-        """The value of `name`, of a namespace as a mapping; `default`, if given, when it is unset.
-
-        Raises:
-            ParameterUnset: it has no value, and there is no default.
-            RossecError: the master refuses, or is out of reach.
-        """
+        """The value of `name`, of a namespace as a mapping; `default`, if given, when it is unset. Raises
+        ParameterUnset: it has no value, and there is no default; RossecError: the master refuses, or is out
+        of reach."""
         key = self._key(name)
         try:
             return await self._ask("getParam", key)
@@ -52,12 +49,8 @@ class NodeParameters:
             raise _unset(key) from error
 
     async def set(self, name: str, value: Value) -> None:
-        """Give `name` a value; a mapping replaces a whole namespace.
-
-        Raises:
-            RossecError: XML-RPC cannot carry the value, a name below /remote, or the master
-                refuses.
-        """
+        """Give `name` a value; a mapping replaces a whole namespace. Raises RossecError: XML-RPC cannot carry
+        the value, a name below /remote, or the master refuses."""
         key = refuse_offer(self._key(name), "set")
         await self._ask("setParam", key, value)
         self.changed(key, value)  # the master does not notify the caller
@@ -76,11 +69,8 @@ class NodeParameters:
             raise _unset(key) from error
 
     async def search(self, name: str) -> str | None:
-        """The nearest `name` in this node's namespace and those above; None when there is none.
-
-        Raises:
-            RossecError: the name is empty, or the master is out of reach.
-        """
+        """The nearest `name` in this node's namespace and those above; None when there is none. Raises
+        RossecError: the name is empty, or the master is out of reach."""
         try:
             return str(await self._ask("searchParam", name))
         except AnswerRefused as error:
@@ -95,11 +85,8 @@ class NodeParameters:
         return found
 
     async def subscribe(self, name: str) -> "ParameterSubscription":
-        """Subscribe to `name`: `async for value in subscription` begins with the current value.
-
-        Raises:
-            RossecError: the master refuses, or is out of reach.
-        """
+        """Subscribe to `name`: `async for value in subscription` begins with the current value. Raises
+        RossecError: the master refuses, or is out of reach."""
         subscription = ParameterSubscription(self._key(name), self._unsubscribe)
         self._subscriptions.setdefault(subscription.name, []).append(subscription)
         try:
@@ -228,6 +215,7 @@ def _replaced(tree: Value, path: list[str], value: Value) -> Value:
     new = dict(tree) if isinstance(tree, dict) else {}
     head, *rest = path
     below = _replaced(new.get(head), rest, value)
+    # The master tells an unset parameter as an empty mapping: it goes out of the tree.
     if below == {}:
         new.pop(head, None)
     else:

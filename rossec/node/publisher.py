@@ -24,26 +24,17 @@ from rossec.channel.tuning import BATCH
 from rossec.errors import ConnectionHeaderRefused, NodeShutdown, RossecError
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.node.subscriber import check_queue_size
+from rossec.node.subscriber import QUEUE_SIZE, check_queue_size
 from rossec.participant import delivery
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, forwarded_definition, needs_definition
-from rossec.participant.delivery import (
-    NO_OPTIONS,
-    DeliveryOptions,
-    DeliveryQueue,
-    Latch,
-    Sample,
-    SharedDeflation,
-    check_carried_out,
-)
+from rossec.participant.delivery import Latch, Sample
 from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.host_types import known_type
 from rossec.participant.message_types import Message, MessageType
 from rossec.ros.names import ANY_TYPE
 
 LENGTH: Final = struct.Struct("<I")
-QUEUE_SIZE: Final = 10
 PATIENCE: Final = 4.0
 """Seconds a handshake waits: a subscriber gives up after five (`HANDSHAKE_DEADLINE`)."""
 
@@ -106,12 +97,12 @@ class Publisher:
         check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
-        self.links: dict[SubscriberConnection, SubscriberQueue | DeliveryQueue] = {}
+        self.links: dict[SubscriberConnection, SubscriberQueue | delivery.DeliveryQueue] = {}
         self._layout = layout
         self._context = context
         self._queue_size = queue_size
         self._latch: Latch[memoryview] = Latch()
-        self._deflation = SharedDeflation()
+        self._deflation = delivery.SharedDeflation()
         self._closed = False
         self._changed = asyncio.Event()
 
@@ -123,12 +114,8 @@ class Publisher:
         return self.endpoint.type.create(**fields)
 
     def publish(self, message: Message) -> None:
-        """Send `message` to every subscriber, each as its grant allows.
-
-        Raises:
-            MessageError: a field holds a value of a wrong type.
-            NodeShutdown: the node is closed.
-        """
+        """Send `message` to every subscriber, each as its grant allows. Raises MessageError: a field holds a
+        value of a wrong type; NodeShutdown: the node is closed."""
         self._publish(self.endpoint.type.serialize(message))
 
     def publish_bytes(self, data: bytes | memoryview) -> None:
@@ -159,6 +146,7 @@ class Publisher:
         for connection, queue in tuple(self.links.items()):
             if connection.ends <= now:  # the watchdog is about to close it
                 continue
+            # Subscribers whose guards do the same share one filtered message.
             key = connection.guard.key
             if key not in filtered:
                 filtered[key] = self._filter(connection, sample, now, latch)
@@ -179,8 +167,8 @@ class Publisher:
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
 
-    def _rebuilt(self, options: DeliveryOptions, decision: Decision) -> Guard:
-        check_carried_out(options, decision)
+    def _rebuilt(self, options: delivery.DeliveryOptions, decision: Decision) -> Guard:
+        delivery.check_carried_out(options, decision)
         return self.guard(decision)
 
     def _shape(self, _decision: Decision) -> Layout | None:
@@ -193,13 +181,13 @@ class Publisher:
         decision: Decision,
         guard: Guard,
         answer: bytes,
-        options: DeliveryOptions = NO_OPTIONS,
+        options: delivery.DeliveryOptions = delivery.NO_OPTIONS,
     ) -> None:
         """Answer one admitted subscriber and send it messages until its stream ends. It is registered before
         the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, options))
         queue = (
-            DeliveryQueue(stream, options, self._queue_size, self._deflation)
+            delivery.DeliveryQueue(stream, options, self._queue_size, self._deflation)
             if options
             else SubscriberQueue(stream, self._queue_size)
         )
@@ -278,10 +266,6 @@ class RawPublisher(Publisher):
     @property
     def demand(self) -> int:
         return len(self.links) + self._waiting
-
-    @property
-    def is_described(self) -> bool:
-        return self._known.is_set()
 
     def describe(self, kind: Definition) -> None:
         """Say what the messages are; subscribers that wait are answered. At most once."""

@@ -21,46 +21,22 @@ from ca.errors import HintedError, RevocationsStale
 from ca.names import shown
 from grants.decision import Decision
 from grants.errors import GrantError
-from rossec import clock
-from rossec.errors import (
-    AnswerMalformed,
-    AnswerRefused,
-    ChannelError,
-    ConfigurationError,
-    ConnectionHeaderRefused,
-    MessageError,
-    RossecError,
-    ServiceFailed,
-    ServiceRefused,
-    ServiceUnavailable,
-    WireError,
-)
+from rossec import clock, errors
 from rossec.net.aio import SecureStream
 from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
-from rossec.participant import delivery
+from rossec.node.service_client import CALL_DEADLINE, HANDSHAKE_DEADLINE, ServiceClient, exchange_headers
+from rossec.participant import delivery, handshakes
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.handshakes import (
-    ExpectedService,
-    Fields,
-    admit_caller,
-    check_md5,
-    is_set,
-    refuse_offer,
-    requested_service,
-    server_header,
-)
 from rossec.participant.message_types import Message, field_names
 from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
 from rossec.ros import tcpros
-from rossec.ros.tcpros import REQUEST_LIMIT
 
 REQUEST_DEADLINE: Final = 10.0  # seconds from the beginning of a request to its end
 HANDLER_DEADLINE: Final = 60.0
 CONCURRENCY: Final = 8
 _POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
-_PASSING: Final = (ServiceUnavailable, ChannelError, OSError, TimeoutError, RevocationsStale)
+_PASSING: Final = (errors.ServiceUnavailable, errors.ChannelError, OSError, TimeoutError, RevocationsStale)
 _ABSENT: Final = "no provider"  # status of the master, as stock; a refusal begins with "rossec: "
 
 CallerConnection: TypeAlias = NodeConnection[ServiceGuard]
@@ -79,7 +55,7 @@ async def receive_request(stream: SecureStream[Identity], *, wait: bool) -> byte
             while content is None:
                 content = frames.feed_one(await stream.receive())
     except TimeoutError:
-        raise WireError("a request that did not arrive in time") from None
+        raise errors.WireError("a request that did not arrive in time") from None
     return content
 
 
@@ -106,7 +82,7 @@ class Service:
         deadline: float = HANDLER_DEADLINE,
     ) -> None:
         if concurrency < 1 or deadline <= 0:
-            raise ConfigurationError(
+            raise errors.ConfigurationError(
                 f"{name}: concurrency {concurrency}, deadline {deadline:g} s", "both must be above zero"
             )
         self.name = name
@@ -116,13 +92,15 @@ class Service:
         self._context = context
         self._on_close = on_close
         self._slots = asyncio.Semaphore(concurrency)
+        # Half for one caller: others still find a slot (attack `service-occupied`).
         self._share = max(1, concurrency // 2)
+        # Weak: a caller without a connection needs no entry.
         self._shares: WeakValueDictionary[bytes, asyncio.Semaphore] = WeakValueDictionary()
         self._deadline = deadline
 
     @property
-    def expected(self) -> ExpectedService:
-        return ExpectedService(self.kind.name, self.kind.md5sum)
+    def expected(self) -> handshakes.ExpectedService:
+        return handshakes.ExpectedService(self.kind.name, self.kind.md5sum)
 
     def create(self, /, **fields: object) -> Message:
         return self.kind.response.create(**fields)
@@ -156,7 +134,7 @@ class Service:
                 await self._answer(connection, share, await receive_request(stream, wait=persistent))
                 while persistent:
                     await self._answer(connection, share, await receive_request(stream, wait=True))
-        except RossecError as error:
+        except errors.RossecError as error:
             _log.info("%s: %s left: %s", self.name, shown(stream.peer.name), error)
         finally:
             self.links.discard(connection)
@@ -173,13 +151,13 @@ class Service:
                 allowed = b"".join(connection.guard.request(request, clock.time()))
                 try:
                     parsed = self.kind.request.deserialize(allowed)
-                except MessageError as error:
-                    raise ServiceRefused(f"not one {self.kind.request.name}") from error
+                except errors.MessageError as error:
+                    raise errors.ServiceRefused(f"not one {self.kind.request.name}") from error
                 data = await self._handle(parsed, connection.stream.peer)
                 return tcpros.success(connection.guard.response(data, clock.time()))
-        except ServiceFailed as error:
+        except errors.ServiceFailed as error:
             return tcpros.failure(str(error))
-        except (ServiceRefused, GrantError) as error:
+        except (errors.ServiceRefused, GrantError) as error:
             delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), error)
             return tcpros.failure(f"rossec: {error}")
         except TimeoutError:
@@ -193,12 +171,12 @@ class Service:
             if inspect.isawaitable(result):
                 result = await result
             return self.kind.response.serialize(self._response(result))
-        except ServiceFailed:
+        except errors.ServiceFailed:
             raise
         except Exception as error:
             # The text of an exception may hold what the caller may not read: it is for this log alone.
             _log.exception("%s: the handler failed", self.name)
-            raise ServiceFailed("the service failed") from error
+            raise errors.ServiceFailed("the service failed") from error
 
     def _response(self, result: object) -> Message:
         if isinstance(result, Mapping):
@@ -207,7 +185,7 @@ class Service:
         if result is None and not field_names(empty):
             return empty
         if type(result) is not type(empty):
-            raise MessageError(
+            raise errors.MessageError(
                 f"the handler of {self.name} did not return a {self.kind.response.name}",
                 "return service.create(...), or a mapping of its fields",
             )
@@ -230,9 +208,9 @@ class Services:
         deadline: float = HANDLER_DEADLINE,
     ) -> Service:
         """Register the service `name`, a full name; `handler(request, caller)`; see `Service`."""
-        refuse_offer(name, "provided")
+        handshakes.refuse_offer(name, "provided")
         if name in self._provided:
-            raise ConfigurationError(f"{name} is provided by this node already")
+            raise errors.ConfigurationError(f"{name} is provided by this node already")
         service = Service(
             name, kind, handler, self._context, self._unregister, concurrency=concurrency, deadline=deadline
         )
@@ -270,12 +248,20 @@ class Services:
                         return
                     await asyncio.sleep(_POLL_PERIOD)
         except TimeoutError:
-            raise ServiceUnavailable(
+            raise errors.ServiceUnavailable(
                 f"no node provided {shown(name)} within {within:g} s", "is its provider running?"
             ) from None
 
-    async def probe(self, name: str) -> tuple[Fields, Identity]:
-        return await probe(self.dial, self._context.name_for, name, self._context.access)
+    async def probe(self, name: str) -> tuple[handshakes.Fields, Identity]:
+        """Request the header of the provider of `name`; returns it and the provider's identity."""
+        async with asyncio.timeout(HANDSHAKE_DEADLINE):
+            stream = await self.dial(name)
+            try:
+                caller, access = self._context.name_for(stream.peer), self._context.access
+                answer, _ = await exchange_headers(stream, caller, name, handshakes.ANY, access, probe=True)
+            finally:
+                stream.abort("only a probe")
+        return answer, stream.peer
 
     async def known(self) -> dict[str, list[str]]:
         """Services this node may see, each with its providers."""
@@ -283,16 +269,16 @@ class Services:
             case [_, _, [*services]]:
                 return dict(_provided(item) for item in services)
             case _:
-                raise AnswerMalformed("an invalid system state")
+                raise errors.AnswerMalformed("an invalid system state")
 
     async def lookup(self, name: str) -> str:
         """The rosrpc URI of the provider of `name`."""
         try:
             uri = await self._context.call("lookupService", name)
-        except AnswerRefused as error:
+        except errors.AnswerRefused as error:
             if str(error) != _ABSENT:
                 raise
-            raise ServiceUnavailable(
+            raise errors.ServiceUnavailable(
                 f"no node provides {shown(name)}", "start its provider, or wait for the service"
             ) from error
         return str(uri)
@@ -306,21 +292,20 @@ class Services:
         """Decide on a caller from its header; returns what serves it."""
         context, now = self._context, clock.now()
         # The right before the look-up: a probe without it learns nothing (N6).
-        decision = admit_caller(fields, stream.peer, context.access, now)
-        name = requested_service(fields)
+        decision = handshakes.admit_caller(fields, stream.peer, context.access, now)
+        name = handshakes.requested_service(fields)
         service = self._provided.get(name)
         if service is None:
-            raise ConnectionHeaderRefused(f"{context.name} does not provide {name}")
-        check_md5(fields, name, service.kind.md5sum)
-        answer = tcpros.encode(
-            server_header(context.name_for(stream.peer), name, service.expected, context.access, now)
-        )
-        if is_set(fields, "probe"):
+            raise errors.ConnectionHeaderRefused(f"{context.name} does not provide {name}")
+        handshakes.check_md5(fields, name, service.kind.md5sum)
+        caller = context.name_for(stream.peer)
+        answer = tcpros.encode(handshakes.server_header(caller, name, service.expected, context.access, now))
+        if handshakes.is_set(fields, "probe"):
             return partial(stream.send, answer)
         guard = service.guard(decision)
         # Only now: of a peer without the right no more than a header is kept (N8).
-        stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
-        persistent = is_set(fields, "persistent")
+        stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, tcpros.REQUEST_LIMIT))
+        persistent = handshakes.is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 
     async def withdraw(self, name: str) -> None:
@@ -356,4 +341,4 @@ def _provided(item: object) -> tuple[str, list[str]]:
         case [str() as name, [*nodes]]:
             return name, [node for node in nodes if isinstance(node, str)]
         case _:
-            raise AnswerMalformed("an invalid system state")
+            raise errors.AnswerMalformed("an invalid system state")

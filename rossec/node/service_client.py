@@ -19,68 +19,40 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
 from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
+from rossec.participant import handshakes
 from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.handshakes import (
-    ANY,
-    ExpectedService,
-    Fields,
-    admit_provider,
-    check_md5,
-    client_header,
-)
 from rossec.participant.message_types import Message
-from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
+from rossec.participant.service_types import ServiceGuard, ServiceType
 from rossec.ros import tcpros
-from rossec.ros.tcpros import MESSAGE_LIMIT
 
 CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
 
 ProviderConnection: TypeAlias = NodeConnection[ServiceGuard]
-CallerFor = Callable[[Identity], str]  # by which name the node calls itself to a peer
 Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream to its provider
-
-
-async def exchange_call(stream: SecureStream[Identity], request: Pieces) -> bytes:
-    """The response to one request."""
-    frames = tcpros.response_reader()
-    await stream.send(*tcpros.framed(request))
-    while (content := frames.feed_one(await stream.receive())) is None:
-        pass
-    return tcpros.open_response(content)
 
 
 async def exchange_headers(
     stream: SecureStream[Identity],
     caller: str,
     service: str,
-    kind: ExpectedService,
+    kind: handshakes.ExpectedService,
     access: Access,
     *,
     persistent: bool = False,
     probe: bool = False,
-) -> tuple[Fields, Decision]:
+) -> tuple[handshakes.Fields, Decision]:
     """Exchange headers with a provider; returns its header, and the decision on its grants."""
-    fields = client_header(caller, service, kind, access, clock.now(), persistent=persistent, probe=probe)
+    fields = handshakes.client_header(
+        caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
+    )
     await stream.send(tcpros.encode(fields))
     frames = tcpros.FrameReader(tcpros.HEADER_LIMIT)
     while (arrived := frames.feed_one(await stream.receive())) is None:
         pass
     answer = tcpros.decode(arrived)
-    return answer, admit_provider(answer, stream.peer, service, access, clock.now())
-
-
-async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access) -> tuple[Fields, Identity]:
-    """Request the header of the provider of `service`; returns it and the provider's identity."""
-    async with asyncio.timeout(HANDSHAKE_DEADLINE):
-        stream = await dial(service)
-        try:
-            caller = caller_for(stream.peer)
-            answer, _ = await exchange_headers(stream, caller, service, ANY, access, probe=True)
-        finally:
-            stream.abort("only a probe")
-    return answer, stream.peer
+    return answer, handshakes.admit_provider(answer, stream.peer, service, access, clock.now())
 
 
 class ServiceClient:
@@ -164,7 +136,11 @@ class ServiceClient:
         allowed = connection.guard.request(request, clock.time())
         complete = False
         try:
-            response = await exchange_call(connection.stream, allowed)
+            frames = tcpros.response_reader()
+            await connection.stream.send(*tcpros.framed(allowed))
+            while (content := frames.feed_one(await connection.stream.receive())) is None:
+                pass
+            response = tcpros.open_response(content)
             complete = True
         except ServiceFailed:
             complete = True
@@ -177,14 +153,14 @@ class ServiceClient:
     async def _connect(self) -> ProviderConnection:
         stream = await self._dial(self.service)
         try:
-            kind = ExpectedService(self.kind.name, self.kind.md5sum)
+            kind = handshakes.ExpectedService(self.kind.name, self.kind.md5sum)
             caller, access = self._context.name_for(stream.peer), self._context.access
             async with asyncio.timeout(HANDSHAKE_DEADLINE):
                 answer, decision = await exchange_headers(
                     stream, caller, self.service, kind, access, persistent=self._persistent
                 )
-            check_md5(answer, self.service, kind.md5sum)
-            stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+            handshakes.check_md5(answer, self.service, kind.md5sum)
+            stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, tcpros.MESSAGE_LIMIT))
             connection = AuthorizedConnection(stream, decision, self._guard(decision), self._guard)
             # In the table before the first request: from here on a revocation cuts it.
             self._context.connections.add(connection)

@@ -32,22 +32,11 @@ from rossec.participant import delivery
 from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, from_header, guard_for, receiver_definition, size_of
-from rossec.participant.delivery import (
-    LARGE,
-    NO_OPTIONS,
-    OVERHEAD,
-    DeliveryOptions,
-    RequestedRate,
-    accepted_options,
-    claimed_size,
-    inflated,
-)
 from rossec.participant.handshakes import Fields, TopicEndpoint, admit_publisher, subscriber_header
 from rossec.participant.host_types import known_type
 from rossec.participant.message_types import Message, MessageType
 from rossec.ros import tcpros
 from rossec.ros.names import ANY_TYPE
-from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 QUEUE_SIZE: Final = 10
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -68,9 +57,9 @@ class RequestedMessages:
     then messages are thinned out here, which spares the program and not the line.
     """
 
-    def __init__(self, asked: DeliveryOptions, taken: DeliveryOptions, limit: int) -> None:
+    def __init__(self, asked: delivery.DeliveryOptions, taken: delivery.DeliveryOptions, limit: int) -> None:
         thins = asked.rate is not None and taken.rate is None
-        self._rate = RequestedRate(asked.rate) if asked.rate is not None and thins else None
+        self._rate = delivery.RequestedRate(asked.rate) if asked.rate is not None and thins else None
         self._deflated = taken.deflate
         self._limit = limit
         self._this_turn = 0  # bytes inflated since the loop had its turn
@@ -78,24 +67,24 @@ class RequestedMessages:
     async def inflated(self, content: bytes) -> bytes:
         if not self._deflated:
             return content
-        size = claimed_size(content, self._limit)
-        if size >= LARGE:
-            return await asyncio.to_thread(inflated, content, self._limit)
+        size = delivery.claimed_size(content, self._limit)
+        if size >= delivery.LARGE:
+            return await asyncio.to_thread(delivery.inflated, content, self._limit)
         self._this_turn += size
-        if self._this_turn >= LARGE:  # thousands of small bombs fit into one unit
+        if self._this_turn >= delivery.LARGE:  # thousands of small bombs fit into one unit
             self._this_turn = 0
             await asyncio.sleep(0)
-        return inflated(content, self._limit)
+        return delivery.inflated(content, self._limit)
 
     def admits(self) -> bool:
         return self._rate is None or self._rate.admits(monotonic())
 
 
 def requested_messages(
-    asked: DeliveryOptions, answer: Mapping[str, bytes], limit: int
+    asked: delivery.DeliveryOptions, answer: Mapping[str, bytes], limit: int
 ) -> RequestedMessages | None:
     """For a publisher with this answer; None: its messages come as they do without options."""
-    taken = accepted_options(answer, asked)
+    taken = delivery.accepted_options(answer, asked)
     if taken.deflate or taken.rate != asked.rate:
         return RequestedMessages(asked, taken, limit)
     return None
@@ -112,7 +101,7 @@ class Subscriber:
         memory_scope: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
-        options: DeliveryOptions = NO_OPTIONS,
+        options: delivery.DeliveryOptions = delivery.NO_OPTIONS,
     ) -> None:
         check_queue_size(queue_size)
         self.endpoint = endpoint
@@ -125,7 +114,7 @@ class Subscriber:
         self._on_close = on_close
         self._options = options
         self._size = size_of(endpoint.type)
-        self._longest = message_limit(self._size, MESSAGE_LIMIT)
+        self._longest = message_limit(self._size, tcpros.MESSAGE_LIMIT)
         self._task_set = TaskSet()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._queue: deque[bytes] = deque(maxlen=queue_size)
@@ -190,6 +179,7 @@ class Subscriber:
                 await self._receive_from(uri)
             except Exception as error:  # noqa: BLE001 - after any error try again later
                 self._record_failure(uri, error)
+            # Longer only while nothing comes: one that was received from is tried again soon.
             pause = _FIRST_PAUSE if self.received > before else min(2 * pause, LONGEST_PAUSE)
             await asyncio.sleep(pause)
 
@@ -198,8 +188,8 @@ class Subscriber:
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
-                limit = self._longest + (OVERHEAD if self._options.deflate else 0)
-                frames = FrameReader(limit, first=tcpros.HEADER_LIMIT)
+                limit = self._longest + (delivery.OVERHEAD if self._options.deflate else 0)
+                frames = tcpros.FrameReader(limit, first=tcpros.HEADER_LIMIT)
                 connection, answer, early = await self._handshake(stream, frames)
                 requested = requested_messages(self._options, answer, self._longest)
             except BaseException:
@@ -209,7 +199,7 @@ class Subscriber:
         try:
             with self._context.connections.track(connection):
                 self._opened(connection, answer)
-                framing, messages = Framing(frames), early
+                framing, messages = tcpros.Framing(frames), early
                 while True:
                     if requested is None:
                         self._deliver(connection, messages)
@@ -226,11 +216,12 @@ class Subscriber:
             self._ended(connection)
 
     async def _handshake(
-        self, stream: SecureStream[Identity], frames: FrameReader
+        self, stream: SecureStream[Identity], frames: tcpros.FrameReader
     ) -> tuple[PublisherConnection, Fields, list[bytes]]:
         context = self._context
         name = context.name_for(stream.peer)
         own = context.certified or context.name
+        # A gateway of the own domain is asked by the name under which it serves the alias (0035).
         endpoint = replace(self.endpoint, topic=granted_name(stream.peer, self.topic, own))
         fields = subscriber_header(name, endpoint, context.access, clock.now())
         await stream.send(tcpros.encode(fields | self._options.fields))
@@ -238,9 +229,10 @@ class Subscriber:
         while not units:
             units = frames.feed(await stream.receive())
         answer = tcpros.decode(units[0])
-        decision = admit_publisher(answer, stream.peer, endpoint.expected, context.access, clock.now())
+        kind, now = endpoint.type, clock.now()
+        decision = admit_publisher(answer, stream.peer, endpoint.topic, kind, context.access, now)
         # Of a type of fixed size a unit needs less than the most that any type may have.
-        stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
+        stream.raise_unit_limit(unit_limit(self._size, tcpros.MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants
 
         def rebuild(decision: Decision) -> Guard | None:

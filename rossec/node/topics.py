@@ -90,6 +90,7 @@ class Topics:
         return subscriber
 
     def _for_subscriber(self, topic: str) -> tuple[NodeContext, OnClose, MemoryScope]:
+        # Raises, before anything is kept, for a name below /remote that is no alias.
         split_alias(topic)
         existing = self._subscribers.setdefault(topic, [])
         memory_scope = self._context.memory_scope

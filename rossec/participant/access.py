@@ -16,20 +16,11 @@ from typing import Final, Protocol
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from ca import names
 from ca.bounded import Newest
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.errors import CAError, EncodingError, NameRefused, NotAdmitted, RevocationsStale
-from ca.names import (
-    alias_of_served,
-    is_alias,
-    is_gateway,
-    is_in_gateway,
-    origin_of,
-    served_name,
-    shown,
-    split_alias,
-)
 from ca.revocation.lists import open_timestamp
 from ca.revocation.trust_status import TrustStatus
 from grants.decision import Decision, RevocationCheck, authorize, check_tail
@@ -50,12 +41,13 @@ NO_LIST: Final = (
     "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
 )
 _ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
+Persist = Callable[[bytes], None]  # stores a list; durable when it returns
 _OFFERS: Final = Right.PUBLISH | Right.PROVIDE
 
 
 def is_own_gateway(peer: Identity) -> bool:
     """Whether `peer` is a gateway of the own domain; a name with a tail is none."""
-    return is_gateway(peer.name) and not peer.is_foreign and not peer.wildcard
+    return names.is_gateway(peer.name) and not peer.is_foreign and not peer.wildcard
 
 
 def granted_name(peer: Identity, topic: str, own: str = "") -> str:
@@ -70,19 +62,19 @@ def granted_name(peer: Identity, topic: str, own: str = "") -> str:
         alone: it
             could be led to forward what it serves itself.
     """
-    served = is_alias(topic) and is_own_gateway(peer) and not is_gateway(own)
-    return served_name(topic) if served else topic
+    served = names.is_alias(topic) and is_own_gateway(peer) and not names.is_gateway(own)
+    return names.served_name(topic) if served else topic
 
 
 def wire_name(peer: Identity, topic: str, own: str = "") -> str:
     """The name by which `peer` is asked for the subscribed `topic`; `own` as of `granted_name`."""
-    return origin_of(granted_name(peer, topic, own))
+    return names.origin_of(granted_name(peer, topic, own))
 
 
 def possible_names(topic: str) -> tuple[str, ...]:
     """The names of which one must be granted to subscribe to `topic` at all."""
     try:
-        return (topic, served_name(topic)) if is_alias(topic) else (topic,)
+        return (topic, names.served_name(topic)) if names.is_alias(topic) else (topic,)
     except NameRefused:
         return (topic,)
 
@@ -142,6 +134,7 @@ class TokenOpener:
 
     def _open_once(self, data: bytes, domain: str, now: int) -> Grant:
         # As `open`; the signature of one seen before is not checked again.
+        # By its root, too: under another one it is verified anew.
         seen = self._root(domain).thumbprint, sha256(data).digest()
         known = self._opened.use(seen)
         if known is not None and known.not_before <= now < known.expires:
@@ -235,6 +228,7 @@ class Access:
     def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, except those known to be revoked."""
         own, others = self._revocations.entries, self._domains_held() - {self._anchor.domain}
+        # A foreign grant is ended by either authority's list (attack `foreign-node`).
         revoked = {domain: own | self.trust_status.revoked(domain) for domain in others}
         return [
             held
@@ -263,12 +257,7 @@ class Access:
         return 0 if held is None else held.epoch
 
     def update_revocations(
-        self,
-        revocations: bytes,
-        timestamp: bytes,
-        master: Identity,
-        now: int,
-        persist: Callable[[bytes], None],
+        self, revocations: bytes, timestamp: bytes, master: Identity, now: int, persist: Persist
     ) -> None:
         """Take over a newer list (empty: the one held is the newest) and its timestamp. A valid list is kept
         even when the timestamp is not accepted."""
@@ -314,8 +303,8 @@ class Access:
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now. To subscribe to an alias one for what
         a gateway serves of it suffices."""
-        names = possible_names(name) if right is Right.SUBSCRIBE else (name,)
-        return any(self.covers(right, each, now) for each in names)
+        possible = possible_names(name) if right is Right.SUBSCRIBE else (name,)
+        return any(self.covers(right, each, now) for each in possible)
 
     def covers(self, right: Right, name: str, now: int) -> bool:
         """As `holds`, by that name alone: on an alias only a grant of its origin counts."""
@@ -335,15 +324,15 @@ class Access:
     def _origin(self, right: Right, name: str) -> tuple[str, str]:
         # An alias of no listed domain may be that of another master of the own one, which has only nodes and
         # parameters below `/remote`: no topic and no service.
-        served = alias_of_served(name)  # by the own domain's grants, while the label is of a domain
-        found = split_alias(name if served is None else served)
+        served = names.alias_of_served(name)  # by the own domain's grants, while the label is of a domain
+        found = names.split_alias(name if served is None else served)
         if found is None:
             return self._anchor.domain, name
         label, origin = found
         listed = self.trust_status.anchors.listed(label)
         if listed is None and right & MESSAGE_RIGHTS:
             raise NotAdmitted(
-                f"{shown(name)}: no domain is called {label} here",
+                f"{names.shown(name)}: no domain is called {label} here",
                 "at this side's authority: rossec domain list",
             )
         if served is not None:
@@ -365,17 +354,17 @@ class Access:
         # 1. The peer itself: of a revoked one nothing is opened.
         self.check_peer(peer, now)
         # 2. What only gateways offer, whatever a grant says.
-        if right & _OFFERS and is_in_gateway(name) and not is_own_gateway(peer):
+        if right & _OFFERS and names.is_in_gateway(name) and not is_own_gateway(peer):
             verb = "publishes" if right & Right.PUBLISH else "provides"
             raise NotAdmitted(
-                f"{shown(peer.name)} {verb} {name}, which only a gateway of this domain does",
+                f"{names.shown(peer.name)} {verb} {name}, which only a gateway of this domain does",
                 "a gateway is a node that is enrolled as /gateway or /gateway/NAME",
             )
         # 3. Whose grants count, and by which name: an alias is of its origin's domain.
         domain, origin = self._origin(right, name)
         if presented is None:
             raise GrantMissing(
-                f"{shown(peer.name)} shows no grant to {right.label} {shown(name)}",
+                f"{names.shown(peer.name)} shows no grant to {right.label} {names.shown(name)}",
                 remedy=_remedy(peer, right, origin),
             )
         # 4. Each token for itself: one that is invalid takes nothing from the others.
@@ -394,8 +383,8 @@ class Access:
 
 def _remedy(peer: Identity, right: Right, name: str) -> str:
     if peer.is_foreign:  # it asks its own authority for nothing of ours
-        return f"sign one: {grant_command(shown(peer.name), [(right, name)])}"
-    return remedy(shown(peer.name), right, rule_form(peer.name, name, wildcard=peer.wildcard))
+        return f"sign one: {grant_command(names.shown(peer.name), [(right, name)])}"
+    return remedy(names.shown(peer.name), right, rule_form(peer.name, name, wildcard=peer.wildcard))
 
 
 # The parts of `Access` that others use: a program with threads passes an object with a lock.
@@ -411,9 +400,20 @@ class HandshakeAccess(Protocol):
     ) -> Decision: ...
 
 
-class HeldGrants(Protocol):
+class MembershipAccess(HandshakeAccess, Protocol):
     @property
     def epoch(self) -> int: ...
+    @property
+    def foreign_domains(self) -> frozenset[str]: ...
+    @property
+    def unproved(self) -> list[bytes]: ...
     def hold(self, data: bytes) -> None: ...
     def hold_renewed(self, token: bytes, now: int) -> None: ...
     def held_grants(self) -> list[HeldGrant]: ...
+    def current(self, now: int) -> list[bytes]: ...
+    def add_proof(self, entry: bytes, proof: bytes) -> None: ...
+    def expire_confirmation(self, until: int) -> None: ...
+
+    def update_revocations(
+        self, revocations: bytes, timestamp: bytes, master: Identity, now: int, persist: Persist
+    ) -> None: ...

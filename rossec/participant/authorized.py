@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import product
 from threading import Lock
-from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from ca.encoding import encode
@@ -29,6 +29,7 @@ from rossec.peer_limits import printable
 
 # Existing connections survive missing timestamps this long; new ones are refused at once.
 STALE_GRACE: Final = 60
+# The peer's connection takes one in 2 s, and ends beyond (0051).
 PACE: Final = 3  # seconds between two presentations of this node on one connection
 _HEADER: Final = 30  # seconds a connection header may be older than the connection's authorization
 _RETRY: Final = 2  # seconds until what was refused is judged again; twice as long each time
@@ -44,6 +45,7 @@ _OTHERS: Final = {
     Right.PROVIDE: Right.CALL,
 }
 """The right of this side on a connection, by the one of the peer."""
+# Of the process: a peer that reconnects finds its bucket as it left it (0011).
 _MEMORIES: Final = MemoryStore(clock.time, Lock)
 _log = logging.getLogger("rossec.node")
 
@@ -178,11 +180,6 @@ def _check_label(decision: Decision, trust_status: TrustStatus) -> None:
 Connection: TypeAlias = AuthorizedConnection[Any, Any]
 
 
-class RenewableStream(Protocol):
-    def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None: ...
-    def present_grants(self, data: bytes) -> bool: ...
-
-
 class _Budgets:
     # Every renewal that is judged costs signatures; a domain that is foreign has one budget for all its keys,
     # as it makes as many as it likes.
@@ -238,7 +235,7 @@ class RenewedGrants:
                 _log.exception("a renewal of %s cannot be judged", _peer(connection))
                 connection.stream.abort("what the peer presents cannot be judged")
 
-        cast("RenewableStream", connection.stream).on_renewal(take)
+        connection.stream.on_renewal(take)
 
     def _take(
         self, connection: Connection, renewal: Renewal[Identity], on_renewed: Callable[[Connection], None]
@@ -316,7 +313,7 @@ class RenewedGrants:
             grants = self._access.present(_OTHERS[decision.right], decision.name, now)
             if grants in (_NOTHING, presented.by_self):
                 return
-            if cast("RenewableStream", connection.stream).present_grants(grants):
+            if connection.stream.present_grants(grants):
                 presented.by_self, presented.next_at = grants, now + PACE
         except (HintedError, LimitExceeded) as error:
             _log.info("not presented to %s: %s", _peer(connection), printable(error))

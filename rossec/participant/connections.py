@@ -29,7 +29,6 @@ from rossec.participant.access import Access, wire_name
 from rossec.participant.authorized import AuthorizedConnection, PeerStream, RenewedGrants, StreamT
 from rossec.participant.handshakes import caller_for
 from rossec.ros import names
-from rossec.ros.names import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
 UNSHOWN_CONNECTIONS: Final = 32
@@ -60,7 +59,7 @@ class ConnectionTable(Generic[StreamT]):
         trust_status: TrustStatus,
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
         most: int | None = None,  # connections of one peer (N8); None: `PEER_CONNECTIONS`
-        master: str = MASTER,  # which may have more
+        master: str = names.MASTER,  # which may have more
     ) -> None:
         self._trust_status = trust_status
         self._trust_status_lock = lock
@@ -218,6 +217,7 @@ class ConnectionTable(Generic[StreamT]):
     def _refusal(self, peer: Identity | str, now: int) -> str | None:
         if isinstance(peer, str):
             return None
+        # Either authority may end it (attack `foreign-node`).
         domains = dict.fromkeys((self._trust_status.anchors.own.domain, peer.domain))
         if not all(self._trust_status.revoked(each).isdisjoint(peer.keys) for each in domains):
             return "the peer's identity is revoked"
@@ -261,6 +261,7 @@ class ConnectionWatchdog:
                 "the host's clock went back: new connections are refused"
                 " until the master confirms its revocation list again"
             )
+            # Open connections keep their grace: a clock that is corrected must not stop a robot (0013).
             self._expire_confirmation(now - 1)
         self._connections.cut_ended(now)
 
@@ -352,14 +353,14 @@ class Dialer:
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
-        return await self._connect(host, port, WireProtocol.HTTP)
+        """Connect to an API whose owner the caller checks."""
+        return await self._connect((host, port), WireProtocol.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
         """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`. At a
         relay's forwarded port that is the same port again: the node names an address of its own network."""
         api = names.parse_uri(uri, "a publisher's URI")
-        stream = await self.rpc(*api)
-        self._check_identity(stream)
+        stream = await self._connect_checked(api, WireProtocol.HTTP)
         try:
             name = wire_name(stream.peer, topic, self._certified)
             caller = caller_for(stream.peer, self._name, self._certified)
@@ -376,26 +377,24 @@ class Dialer:
                 )
         address = api if names.is_forwarded_port(uri) else named
         self._own_addresses.check_redirect(api, address)
-        stream = await self._connect(*address, WireProtocol.TCPROS)
-        self._check_identity(stream)
-        return stream
+        return await self._connect_checked(address, WireProtocol.TCPROS)
 
     async def service(self, uri: str) -> SecureStream[Identity]:
-        host, port = names.parse_uri(uri, "a service's URI", scheme="rosrpc")
-        stream = await self._connect(host, port, WireProtocol.TCPROS)
-        self._check_identity(stream)
-        return stream
+        address = names.parse_uri(uri, "a service's URI", scheme="rosrpc")
+        return await self._connect_checked(address, WireProtocol.TCPROS)
 
-    async def _connect(self, host: str, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
-        to_itself = self._own_addresses.is_own((host, port))
-        return await connect(host, port, self._context, protocol, to_itself=to_itself)
+    async def _connect(self, address: Address, protocol: WireProtocol) -> SecureStream[Identity]:
+        to_itself = self._own_addresses.is_own(address)
+        return await connect(*address, self._context, protocol, to_itself=to_itself)
 
-    def _check_identity(self, stream: SecureStream[Identity]) -> None:
+    async def _connect_checked(self, address: Address, protocol: WireProtocol) -> SecureStream[Identity]:
+        stream = await self._connect(address, protocol)
         try:
             self._check_peer(stream.peer, clock.now())
         except BaseException:
             stream.abort("the peer's identity is revoked or cannot be checked")
             raise
+        return stream
 
 
 async def serve_peer(stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access) -> None:

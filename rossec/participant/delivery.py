@@ -214,16 +214,14 @@ def inflated(content: bytes, limit: int) -> bytes:
     return message
 
 
+@dataclass(eq=False, slots=True, weakref_slot=True)
 class Deflatable:
     """A message that is deflated once, when it is first sent; threads share it."""
 
-    __slots__ = ("__weakref__", "_content", "_lock", "pieces", "source")
-
-    def __init__(self, pieces: Sequence[Buffer], source: object) -> None:
-        self.pieces = pieces
-        self.source = source
-        self._content: bytes | None = None
-        self._lock = Lock()
+    pieces: Sequence[Buffer]
+    source: object
+    _content: bytes | None = field(default=None, init=False)
+    _lock: Lock = field(default_factory=Lock, init=False)
 
     def content(self) -> bytes:
         with self._lock:
@@ -291,6 +289,7 @@ class DeliveryQueue:
 
     def enqueue(self, pieces: Sequence[Buffer]) -> None:
         """Queue one filtered message, unless the rate takes it away; the oldest gives way."""
+        # The guard has let it pass: an option only ever takes away (0036).
         if self._rate is not None and not self._rate.admits(monotonic()):
             self.thinned += 1
             return

@@ -23,6 +23,7 @@ from rossec.participant.access import FIELD, HandshakeAccess
 from rossec.ros.names import ANY_TYPE
 
 if TYPE_CHECKING:
+    from rossec.participant.definitions import Definition
     from rossec.participant.message_types import MessageType
 
 OFFERS: Final[Mapping[str, str]] = {
@@ -41,6 +42,7 @@ Rename = Callable[[str], str]
 
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
     caller = text(fields, "callerid")
+    # Programs and logs would believe the name that it gives itself (attack `another-name`).
     if not peer.covers(caller):
         raise ConnectionHeaderRefused(
             f"a node certified as {shown(peer.name)} calls itself {caller}",
@@ -69,6 +71,7 @@ def text(fields: Mapping[str, bytes], key: str) -> str:
         raise ConnectionHeaderRefused(f"the connection header's {key!r} is not text") from None
     if not decoded.isprintable() and key != "error":
         raise ConnectionHeaderRefused(f"the connection header's {key!r} holds control characters")
+    # It goes into logs and errors: one line, bounded (attack `control-characters`).
     return "".join(char if char.isprintable() else " " for char in decoded)[:4096]
 
 
@@ -200,26 +203,15 @@ class TopicEndpoint:
     topic: str
     type: "MessageType"
 
-    @property
-    def expected(self) -> "ExpectedTopic":
-        return ExpectedTopic(self.topic, self.type.name, self.type.md5sum)
 
-
-@dataclass(frozen=True)
-class ExpectedTopic:
-    """A topic with the name and md5sum of its type; `*` matches any type."""
-
-    topic: str
-    type_name: str
-    md5sum: str
+def _common(caller: str, key: str, name: str, type_name: str, md5sum: str) -> Fields:
+    named = {"callerid": caller, key: name, "type": type_name, "md5sum": md5sum}
+    return {each: value.encode() for each, value in named.items()}
 
 
 def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int) -> Fields:
     return {
-        "callerid": caller.encode(),
-        "topic": origin_of(endpoint.topic).encode(),
-        "type": endpoint.type.name.encode(),
-        "md5sum": endpoint.type.md5sum.encode(),
+        **_common(caller, "topic", origin_of(endpoint.topic), endpoint.type.name, endpoint.type.md5sum),
         "message_definition": endpoint.type.octets,
         "tcp_nodelay": b"1",
         FIELD: access.present(Right.SUBSCRIBE, endpoint.topic, now),
@@ -230,10 +222,7 @@ def publisher_header(
     caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int, *, latching: bool
 ) -> Fields:
     return {
-        "callerid": caller.encode(),
-        "topic": endpoint.topic.encode(),
-        "type": endpoint.type.name.encode(),
-        "md5sum": endpoint.type.md5sum.encode(),
+        **_common(caller, "topic", endpoint.topic, endpoint.type.name, endpoint.type.md5sum),
         "message_definition": endpoint.type.octets,
         "latching": b"1" if latching else b"0",
         FIELD: access.present(Right.PUBLISH, endpoint.topic, now),
@@ -254,9 +243,14 @@ def admit_subscriber(
 
 
 def admit_publisher(
-    fields: Mapping[str, bytes], peer: Identity, expected: ExpectedTopic, access: HandshakeAccess, now: int
+    fields: Mapping[str, bytes],
+    peer: Identity,
+    topic: str,
+    kind: "Definition",
+    access: HandshakeAccess,
+    now: int,
 ) -> Decision:
-    """Decide on a publisher from the header it answered with.
+    """Decide on a publisher of `topic` from the header it answered with.
 
     The caller applies the decision's restrictions to each message (`topic_guard.guard_for`), by the
     receiver's definition: the publisher's may differ under the same md5sum.
@@ -267,24 +261,21 @@ def admit_publisher(
     # 2. Who it says it is, by its certificate.
     check_caller(fields, peer)
     # 3. What was asked for, and no other topic for which it has a grant.
-    if text(fields, "topic") != origin_of(expected.topic):
-        raise ConnectionHeaderRefused(
-            f"{shown(peer.name)} answers with another topic than {shown(expected.topic)}"
-        )
-    check_type(fields, expected)
+    if text(fields, "topic") != origin_of(topic):
+        raise ConnectionHeaderRefused(f"{shown(peer.name)} answers with another topic than {shown(topic)}")
+    check_type(fields, topic, kind)
     # 4. Its right, by the name that the topic has here.
-    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
+    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, topic, now)
 
 
-def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
+def check_type(fields: Mapping[str, bytes], topic: str, kind: "Definition") -> None:
     """Compare type and md5sum as TCPROS does; `*` matches any, on either side."""
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
-    if not _matches(name, expected.type_name) or not _matches(md5sum, expected.md5sum):
+    if not _matches(name, kind.name) or not _matches(md5sum, kind.md5sum):
         raise ConnectionHeaderRefused(
-            f"{shown(expected.topic)} carries {expected.type_name} ({expected.md5sum}),"
-            f" the peer expects {name} ({md5sum})",
+            f"{shown(topic)} carries {kind.name} ({kind.md5sum}), the peer expects {name} ({md5sum})",
             "both sides need the same version of the message package"
-            if _matches(name, expected.type_name)
+            if _matches(name, kind.name)
             else "name the type that the topic carries, or another topic",
         )
 
@@ -316,10 +307,7 @@ def client_header(
 ) -> Fields:
     flags = {"persistent": persistent, "probe": probe}
     return {
-        "callerid": caller.encode(),
-        "service": origin_of(service).encode(),
-        "type": kind.type_name.encode(),
-        "md5sum": kind.md5sum.encode(),
+        **_common(caller, "service", origin_of(service), kind.type_name, kind.md5sum),
         **{key: b"1" for key, wanted in flags.items() if wanted},
         **caller_proof(service, access, now),
     }
@@ -329,10 +317,7 @@ def server_header(
     caller: str, service: str, kind: ExpectedService, access: HandshakeAccess, now: int
 ) -> Fields:
     return {
-        "callerid": caller.encode(),
-        "service": service.encode(),
-        "type": kind.type_name.encode(),
-        "md5sum": kind.md5sum.encode(),
+        **_common(caller, "service", service, kind.type_name, kind.md5sum),
         "request_type": f"{kind.type_name}Request".encode(),
         "response_type": f"{kind.type_name}Response".encode(),
         **provider_proof(service, access, now),

@@ -11,6 +11,7 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from secrets import SystemRandom
@@ -30,7 +31,7 @@ from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.rpc import RpcClient
-from rossec.participant.access import HeldGrants
+from rossec.participant.access import MembershipAccess
 from rossec.participant.registrations import Retry
 from rossec.participant.renewals import MAX_PROOFS_PER_CALL, MasterCall, take
 from rossec.peer_limits import printable
@@ -55,7 +56,7 @@ _log = logging.getLogger("rossec.node")
 class GrantDirectory:
     """Moves the grants of a directory into a node's `Access`: each once, an invalid one is logged once."""
 
-    def __init__(self, home: NodeHome, access: HeldGrants) -> None:
+    def __init__(self, home: NodeHome, access: MembershipAccess) -> None:
         self._home = home
         self._access = access
         self._seen: set[bytes] = set()
@@ -117,7 +118,7 @@ class GrantDelivery:
     """
 
     def __init__(
-        self, trust_status: TrustStatus, holder: bytes, access: HeldGrants, directory: GrantDirectory
+        self, trust_status: TrustStatus, holder: bytes, access: MembershipAccess, directory: GrantDirectory
     ) -> None:
         self._trust_status = trust_status
         self._holder = holder
@@ -144,6 +145,7 @@ class GrantDelivery:
             self.supported.set()
 
     def known(self) -> bytes:
+        # Ids, and no number that the master counts: nothing is lost by a restart of either side (0027).
         ids = dict.fromkeys(reversed(self._received))
         ids |= dict.fromkeys(held.grant.id for held in self._access.held_grants())
         return b"".join(list(ids)[:MAX_KNOWN])
@@ -207,23 +209,16 @@ class GrantDelivery:
             raise GrantError(f"the grant {grant.short_id} is revoked")
 
 
+@dataclass(eq=False)
 class GrantWatch:
     """Waits at the master for grants, on a connection of its own, while the session is open."""
 
-    def __init__(
-        self,
-        name: str,
-        delivery: GrantDelivery,
-        dial: Callable[[], Awaitable[SecureStream[Identity]]],
-        is_open: Callable[[], bool],
-        master: str = MASTER,
-    ) -> None:
-        self._name = name
-        self._delivery = delivery
-        self._dial = dial
-        self._is_open = is_open
-        self._master = master
-        self._client: RpcClient | None = None
+    _name: str
+    _delivery: GrantDelivery
+    _dial: Callable[[], Awaitable[SecureStream[Identity]]]
+    _is_open: Callable[[], bool]
+    _master: str = MASTER
+    _client: RpcClient | None = field(default=None, init=False)
 
     async def session_opened(self) -> None:
         await self._disconnect()
@@ -246,6 +241,7 @@ class GrantWatch:
             await self._disconnect()
 
     async def _watch(self, retry: Retry) -> None:
+        # A connection of its own: a session has one call at a time, and this one waits for a minute (0027).
         stream = await self._dial()
         if stream.peer.name != self._master:
             stream.abort("not the master")
@@ -266,6 +262,7 @@ class GrantWatch:
                 await client.close()
 
 
+@dataclass(eq=False)
 class DomainUpdates:
     """Takes lists of domains, and revocations of foreign ones.
 
@@ -276,22 +273,14 @@ class DomainUpdates:
     changed, if threads share it.
     """
 
-    def __init__(
-        self,
-        trust_status: TrustStatus,
-        files: DomainFiles,
-        changed: Callable[[bool], None],
-        in_use: Callable[[], Iterable[str]],  # the foreign domains of which there are peers or grants here
-        lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
-    ) -> None:
-        self._trust_status = trust_status
-        self._files = files
-        self._changed = changed
-        self._in_use = in_use
-        self._lock = lock
-        self._supported = True
-        self._wanted: set[str] = set()  # domains whose revocations are fetched next
-        self._warned: dict[str, str] = {}
+    _trust_status: TrustStatus
+    _files: DomainFiles
+    _changed: Callable[[bool], None]
+    _in_use: Callable[[], Iterable[str]]  # the foreign domains of which there are peers or grants here
+    _lock: AbstractContextManager[object] = field(default_factory=nullcontext)
+    _supported: bool = field(default=True, init=False)
+    _wanted: set[str] = field(default_factory=set, init=False)  # domains whose revocations are fetched next
+    _warned: dict[str, str] = field(default_factory=dict, init=False)
 
     # -- what the master pushes, or answers
 
@@ -301,6 +290,7 @@ class DomainUpdates:
             if data == anchors.data:
                 return False
             anchors.update(data, self._files.save_domains)
+            # A domain that is new here begins with the newest list that was ever seen of it.
             self._files.restore(self._trust_status, clock.now())
             self._wanted = {each.entry.domain for each in anchors.all_listed}
         self._changed(True)
@@ -415,7 +405,7 @@ class DomainUpdates:
                 known = [pair for pair in zip(wanted, answer, strict=True) if pair[1] != b""]
                 wanted, answer = [entry for entry, _ in known], [proof for _, proof in known]
             with self._lock:
-                taken = take(held, wanted, answer)
+                taken = take(held.add_proof, wanted, answer)
         except (Fault, AnswerRefused, AnswerMalformed) as error:
             self._warn(f"{domain}: proofs", error)
             return False

@@ -13,6 +13,7 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from secrets import SystemRandom
 from typing import Any, Final, Protocol
 
@@ -28,25 +29,18 @@ from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream, as_master
 from rossec.net.rpc import RpcClient
-from rossec.participant.access import MAX_CALL, NO_LIST, HandshakeAccess, HeldGrants, batches
+from rossec.participant import renewals
+from rossec.participant.access import MAX_CALL, NO_LIST, MembershipAccess, batches
 from rossec.participant.authorized import RenewedGrants
 from rossec.participant.connections import ConnectionTable, ConnectionWatchdog
 from rossec.participant.master_updates import DomainUpdates, GrantDelivery, GrantDirectory, GrantWatch
 from rossec.participant.registrations import PublisherGrace, Retry
-from rossec.participant.renewals import (
-    IdentityRenewal,
-    MasterCall,
-    Provable,
-    Renewals,
-    prove,
-    renew,
-    renew_identity,
-)
+from rossec.participant.renewals import prove
 from rossec.ros import names
-from rossec.ros.names import MASTER, PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 from rossec.saved_statements import DomainFiles, saved_revocations
 
+# A timestamp holds for 30 s: two heartbeats may fail (attack `withheld-revocations`).
 HEARTBEAT: Final = 10.0
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
 _SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged again
@@ -54,33 +48,22 @@ _SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged ag
 _log = logging.getLogger("rossec.node")
 
 
+@dataclass(eq=False)
 class MasterSession:
     """Calls to the master, over a connection that is kept open."""
 
-    def __init__(
-        self,
-        name: str,  # the node's own, the `caller_id` of every call
-        dial: Callable[[], Awaitable[SecureStream[Identity]]],
-        refresh: Callable[[bytes, bytes, Identity], None],  # takes the newest list and timestamp, or raises
-        restore: Callable[["MasterSession"], Awaitable[None]],  # called on each new connection
-        held: Callable[[], bytes],  # the signed revocation list, which the master then need not send
-        prove: Callable[[MasterCall], Awaitable[int]],  # requests proofs; how many were accepted
-        master: str = MASTER,  # the certified name of the node's own
-        follow: Callable[[MasterCall], Awaitable[None]] | None = None,  # after each heartbeat
-        explain: Callable[[], str] = str,  # the cause of a failure, if the node knows it itself
-    ) -> None:
-        self._name = name
-        self._dial = dial
-        self._refresh = refresh
-        self._restore = restore
-        self._held = held
-        self._prove = prove
-        self._master = master
-        self._follow = follow
-        self._explain = explain
-        self._client: RpcClient | None = None
-        self._stream: SecureStream[Identity] | None = None
-        self._is_restored = False
+    _name: str  # the node's own, the `caller_id` of every call
+    _dial: Callable[[], Awaitable[SecureStream[Identity]]]
+    _refresh: Callable[[bytes, bytes, Identity], None]  # takes the newest list and timestamp, or raises
+    _restore: Callable[["MasterSession"], Awaitable[None]]  # called on each new connection
+    _held: Callable[[], bytes]  # the signed revocation list, which the master then need not send
+    _prove: Callable[[renewals.MasterCall], Awaitable[int]]  # requests proofs; how many were accepted
+    _master: str = names.MASTER  # the certified name of the node's own
+    _follow: Callable[[renewals.MasterCall], Awaitable[None]] | None = None  # after each heartbeat
+    _explain: Callable[[], str] = str  # the cause of a failure, if the node knows it itself
+    _client: RpcClient | None = field(default=None, init=False)
+    _stream: SecureStream[Identity] | None = field(default=None, init=False)
+    _is_restored: bool = field(default=False, init=False)
 
     @property
     def is_open(self) -> bool:
@@ -129,6 +112,7 @@ class MasterSession:
                 if self._client is None or self._client.closed:
                     await self.open()
                     _log.info("%s: connected to the master again", self._name)
+                # A lost connection is noticed at once, and not at the next heartbeat.
                 if self._stream is not None:
                     with contextlib.suppress(TimeoutError):
                         async with asyncio.timeout(HEARTBEAT):
@@ -210,7 +194,7 @@ class MasterSession:
 class LoadedIdentity:
     """An enrolled node as its directory has it when it starts; its identity covers `name`."""
 
-    def __init__(self, home: NodeHome, name: str, master: str = MASTER) -> None:
+    def __init__(self, home: NodeHome, name: str, master: str = names.MASTER) -> None:
         self.home = home
         self.name = name
         self.master = master
@@ -221,23 +205,6 @@ class LoadedIdentity:
         self.domain_files = DomainFiles(home, self.anchor)
         self.anchors = self.domain_files.anchors()
         self.trust_status = self.domain_files.trust_status(self.anchors, self.revocations, clock.now())
-
-
-class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
-    @property
-    def foreign_domains(self) -> frozenset[str]: ...
-
-    def update_revocations(
-        self,
-        revocations: bytes,
-        timestamp: bytes,
-        master: Identity,
-        now: int,
-        persist: Callable[[bytes], None],
-    ) -> None: ...
-
-    def expire_confirmation(self, until: int) -> None: ...
-    def current(self, now: int) -> list[bytes]: ...
 
 
 class MembershipHooks(Protocol):
@@ -279,9 +246,11 @@ class Membership:
             lambda: access.foreign_domains | connections.domains,
             lock,
         )
-        self._renewals = Renewals(access)
+        self._renewals = renewals.Renewals(access)
         self._renewed = connections.renewed = RenewedGrants(access)
-        self._identity_renewal = IdentityRenewal(identity.home, identity.live_credentials, clock.now())
+        self._identity_renewal = renewals.IdentityRenewal(
+            identity.home, identity.live_credentials, clock.now()
+        )
         self.session = MasterSession(
             identity.name,
             hooks.dial_master,
@@ -310,6 +279,7 @@ class Membership:
             await self.session.run()
 
         name = self._identity.name
+        # Tasks of their own: a master that hangs delays nothing that cuts connections.
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
         self.tasks.spawn(run_session(), f"{name}: master session")
@@ -354,7 +324,7 @@ class Membership:
         # What is held is presented before anything is fetched: calls of the program go on meanwhile.
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
-            if await renew(session.call, self._renewals, clock.now()):
+            if await renewals.renew(session.call, self._renewals, clock.now()):
                 self.rights_version += 1
         await self._present(self._access.current(clock.now())[:MAX_CALL])
         await self._watch.session_opened()
@@ -395,12 +365,12 @@ class Membership:
         await self.domains.fetch_wanted(call)
         new = self._presentable(new)
         await self._present(new)
-        renewed = await renew(call, self._renewals, clock.now())
+        renewed = await renewals.renew(call, self._renewals, clock.now())
         if renewed:
             self.rights_version += 1
         if new or renewed:
             await self._hooks.rights_changed()
-        await renew_identity(call, self._identity_renewal, clock.now())
+        await renewals.renew_identity(call, self._identity_renewal, clock.now())
         if await prove(call, self._access):
             self._connections.cut_ended(clock.now())
 
@@ -413,7 +383,7 @@ class Membership:
 
     async def _present(self, new: list[bytes]) -> None:
         for batch in batches(new):
-            await self.session.call(PRESENT_GRANTS, batch)
+            await self.session.call(names.PRESENT_GRANTS, batch)
 
     def _crashed(self, error: BaseException) -> None:
         if not self._has_crashed:

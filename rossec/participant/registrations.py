@@ -14,7 +14,6 @@ from ca.errors import NameRefused
 from ca.names import MAX_NAME, check_name
 from rossec.errors import AnswerMalformed
 from rossec.ros import names
-from rossec.ros.names import canonical
 
 Params = tuple[object, ...]
 Call = tuple[str, Params]  # a method of the master, its parameters
@@ -150,7 +149,7 @@ def unheard_refusal(method: str, params: Sequence[object], answer: object) -> st
         case [code, str(status), *_] if code != 1 and method in UNHEARD:
             try:
                 for name in params[RELATIVE_NAME[method] :][:1]:
-                    check_name(canonical(str(name)))
+                    check_name(names.canonical(str(name)))
             except NameRefused as error:
                 return f"{error} ({error.hint})"
             return status
@@ -216,6 +215,7 @@ class PublisherGrace:
         now = self._now()
         if now >= self._until:
             self._missing.clear()
+        # Not while one is missing: who resets sessions could prolong it (attack `reset-sessions`).
         if not self._missing:
             self._until = now + GRACE
         listed = self._listed.copy()  # atomic: in rospy threads share it

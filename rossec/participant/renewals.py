@@ -7,19 +7,19 @@ identities.
 """
 
 import logging
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from typing import Final, Protocol
 
 from ca.certificates import Identity, renew_at, retry_delay, sign_renewal
 from ca.errors import CAError, HintedError, RevocationRefused
+from ca.revocation.trust_status import Revocations
 from ca.svid import build_request
 from grants.errors import GrantError
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
-from rossec.clock import format_duration
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome, ended
-from rossec.participant.access import HeldGrant, HeldGrants
+from rossec.participant.access import HeldGrant, MembershipAccess
 from rossec.peer_limits import printable
 from rossec.ros.names import RENEW_IDENTITY
 
@@ -42,7 +42,7 @@ _log = logging.getLogger("rossec.node")
 class Renewals:
     """Selects the grants of one node that are due, and takes the renewed ones."""
 
-    def __init__(self, access: HeldGrants) -> None:
+    def __init__(self, access: MembershipAccess) -> None:
         self._access = access
         self._retry_at: dict[bytes, int] = {}
         self._epoch = access.epoch
@@ -174,7 +174,7 @@ class IdentityRenewal:
         self._retry_at = now + retry_delay(held.not_before, held.not_after, longest)
         is_first, self._pause = self._pause == FIRST_PAUSE, min(2 * self._pause, LONGEST_PAUSE)
         level = logging.WARNING if now >= self._warn_at and not is_first else logging.INFO
-        left = format_duration(max(0, held.not_after - now))
+        left = clock.format_duration(max(0, held.not_after - now))
         what = f"the identity ends in {left} and is not renewed yet"
         _log.log(level, "%s: %s: %s", held.name, what, text)
         if level == logging.WARNING:
@@ -201,6 +201,7 @@ class IdentityRenewal:
             found = (self._home.path / "node.pem").stat()
         except OSError:
             return 0, 0, 0
+        # The inode, too: files are replaced in one step, and two may have one size and time.
         return found.st_ino, found.st_mtime_ns, found.st_size
 
 
@@ -219,25 +220,19 @@ async def renew_identity(call: MasterCall, renewal: IdentityRenewal, now: int) -
     return True
 
 
-class Provable(Protocol):
-    @property
-    def unproved(self) -> list[bytes]: ...
-    def add_proof(self, entry: bytes, proof: bytes) -> None: ...
+async def prove(call: MasterCall, held: MembershipAccess | Revocations) -> int:
+    wanted = held.unproved[:MAX_PROOFS_PER_CALL]
+    return take(held.add_proof, wanted, await call(REVOCATION_PROOFS, wanted)) if wanted else 0
 
 
-async def prove(call: MasterCall, revocations: Provable) -> int:
-    wanted = revocations.unproved[:MAX_PROOFS_PER_CALL]
-    return take(revocations, wanted, await call(REVOCATION_PROOFS, wanted)) if wanted else 0
-
-
-def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:
+def take(add_proof: Callable[[bytes, bytes], None], wanted: list[bytes], answer: object) -> int:
     """Take the proofs in `answer`, one for each entry in `wanted`, or none at all."""
     if not isinstance(answer, list) or len(answer) not in {0, len(wanted)}:
         raise AnswerMalformed("the master's answer has a different number of proofs than requested")
     taken = 0
     for entry, proof in zip(wanted, answer, strict=False):
         try:
-            revocations.add_proof(entry, proof if isinstance(proof, bytes) else b"")
+            add_proof(entry, proof if isinstance(proof, bytes) else b"")
             taken += 1
         except RevocationRefused as error:
             _log.warning("the master's proof for %s is invalid: %s", entry.hex(), error)

@@ -20,7 +20,7 @@ from rossec.errors import RossecError
 from rossec.participant.access import HandshakeAccess
 from rossec.participant.handshakes import answer_for
 from rossec.ros import names
-from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, MASTER, PORTS, REVOCATION_UPDATE
+from rossec.ros.names import MASTER
 
 Answer = list[object]
 TCPROS: Final = "TCPROS"
@@ -32,7 +32,7 @@ NO_TRANSPORT: Final = (
 )
 OPEN: Final = frozenset({"requestTopic"})
 MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
-RELAY_ONLY: Final = frozenset({PORTS})
+RELAY_ONLY: Final = frozenset({names.PORTS})
 SLAVE_CALLS: Final[Mapping[str, Right]] = {
     "shutdown": Right.ADMIN,
     "getPid": Right.GRAPH,
@@ -71,7 +71,6 @@ def check_slave_call(
 class SlaveEvents(Protocol):
     def publishers_changed(self, topic: str, uris: list[str]) -> None: ...
     def parameter_changed(self, key: str, value: object) -> None: ...
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None: ...
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None: ...
 
     # The master shuts this node down, for example because another one has its name.
@@ -84,18 +83,17 @@ class SlaveEvents(Protocol):
 class SlaveMethod:
     kinds: tuple[type, ...]
     default: object
-    master_only: bool = True
 
 
 RULES: Final[Mapping[str, SlaveMethod]] = {
     "publisherUpdate": SlaveMethod((str, list), 0),
     "paramUpdate": SlaveMethod((str, object), 0),
     "shutdown": SlaveMethod((str,), 0),
-    REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
-    DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
-    FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
-    "requestTopic": SlaveMethod((str, list), [], master_only=False),
-    PORTS: SlaveMethod((), [], master_only=False),
+    names.REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
+    names.DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
+    names.FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
+    "requestTopic": SlaveMethod((str, list), []),
+    names.PORTS: SlaveMethod((), []),
     "getName": SlaveMethod((), ""),
     "getUri": SlaveMethod((), ""),
     "getMasterUri": SlaveMethod((), ""),
@@ -122,7 +120,7 @@ def refusal(
     if method in RELAY_ONLY:
         only = None if is_relay(peer) else "a relay"
     else:
-        only = "the master" if rule.master_only and peer.name != master else None
+        only = "the master" if method not in OPEN and peer.name != master else None
     if only is not None and not (authorized and method in SLAVE_CALLS):
         return [_ERROR, f"rossec: {method} is for {only} alone", rule.default]
     # 2. Number and types of the parameters, in stock's words where stock has some.
@@ -204,10 +202,7 @@ class SlaveApi:
             case "shutdown":
                 events.shutdown_requested(*params)
                 return [1, "shutdown", 0]
-            case names.REVOCATION_UPDATE:
-                revocations, timestamp = params
-                events.revocations_arrived(revocations, timestamp, peer)
-            case names.DOMAINS_UPDATE | names.FOREIGN_UPDATE:
+            case names.REVOCATION_UPDATE | names.DOMAINS_UPDATE | names.FOREIGN_UPDATE:
                 events.push_arrived(method, params, peer)
             case "requestTopic":
                 return topic_offer(params[1], *events.topic_endpoint())

@@ -22,7 +22,7 @@ from rossec.master.server.server import MasterServer
 from rossec.node import Node
 from rossec.participant import membership
 from rossec.participant.authorized import STALE_GRACE
-from rossec.ros.names import MASTER
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
 from tests.support.attacker import EVE, credentials, fields_for, send_header, signed
@@ -243,5 +243,5 @@ async def test_a_delayed_update_does_not_correct_the_clock(site: Site, hand: Clo
         stamp = sign_timestamp(signer, Timestamp(held.seq, digest(robot.revocations.data), then, 30))
         hand.set = -HOUR
         with pytest.raises(RevocationRefused, match="too old"):
-            robot.revocations_arrived(b"", stamp, site.identity(MASTER))
+            robot.push_arrived(REVOCATION_UPDATE, (b"", stamp), site.identity(MASTER))
         assert clock.now() >= then + HOUR

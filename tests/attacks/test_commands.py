@@ -10,7 +10,7 @@ import pytest
 from ca.errors import RevocationRefused, RollbackRefused
 from grants import document
 from rossec.net.rpc.calls import RpcClient
-from rossec.ros.names import MASTER
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from tests.support.attacker import EVE, HOST, call, credentials, dial, flip, revoke, signed
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness
@@ -83,9 +83,9 @@ async def test_an_older_or_forged_revocation_list_is_refused_by_the_node(
         assert answer[0] == -1
         assert said in answer[1]
     with pytest.raises(RollbackRefused):
-        witness.robot.revocations_arrived(old, b"", site.identity(MASTER))
+        witness.robot.push_arrived(REVOCATION_UPDATE, (old, b""), site.identity(MASTER))
     with pytest.raises(RevocationRefused):
-        witness.robot.revocations_arrived(forged, b"", site.identity(MASTER))
+        witness.robot.push_arrived(REVOCATION_UPDATE, (forged, b""), site.identity(MASTER))
     assert witness.robot.revocations.floor == floor
     assert document.grant_id(grant) in witness.robot.revocations.entries
 

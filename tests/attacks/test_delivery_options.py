@@ -14,7 +14,7 @@ from rossec.channel.records import HEADER, TAG, Bytes, Frame
 from rossec.demo.intruder import accept_any
 from rossec.errors import ConnectionHeaderRefused, WireError
 from rossec.net.aio import SecureStream, connect
-from rossec.node import Subscriber, node
+from rossec.node import Subscriber
 from rossec.participant import handshakes
 from rossec.participant.delivery import deflated
 from rossec.ros import tcpros
@@ -250,7 +250,7 @@ async def test_a_publisher_may_not_deflate_unasked(
     def forged(*arguments: Any, **options: Any) -> dict[str, bytes]:
         return {**written(*arguments, **options), "rossec_deflate": b"1"}
 
-    monkeypatch.setattr(node, "publisher_header", forged)
+    monkeypatch.setattr(handshakes, "publisher_header", forged)
     async with site.node(EVE) as eve, site.node("/hall") as hall:
         await eve.publisher(BOMB, STRING)
         subscriber = await hall.subscriber(BOMB, STRING, rate=5)

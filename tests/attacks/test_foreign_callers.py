@@ -251,7 +251,7 @@ async def test_a_certificate_named_by_its_hash_is_verified_again(world: VisitWor
         stream = await connect(host, port, context, WireProtocol.HTTP)
         await RpcClient(stream).ask("getPid", world.robot.name)
         await stream.close()
-    assert known.is_introduced(world.master.credentials.chain[0])
+    assert world.master.credentials.chain[0] in known.introduced
     world.trust.update_domains(world.lists.next())
     with pytest.raises(RossecError):
         await RpcClient(await connect(host, port, context, WireProtocol.HTTP)).ask("getPid", world.robot.name)

@@ -20,6 +20,7 @@ from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.ros import tcpros
 from tests.support.attacker import HOST, credentials
 from tests.support.victim import SERVICE, Victim, attacked, for_service
+from tests.support.wire import receive
 
 pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 NOWHERE: Final = "/robot/none"
@@ -52,7 +53,7 @@ class Wire:
         """Receive; returns whether the peer is authenticated now."""
         data = self.sock.recv(65536)
         assert data, "the connection ended"
-        events = self.core.receive_data(data, int(time.time()))
+        events = receive(self.core, data, int(time.time()))
         self.units += [event.data for event in events if isinstance(event, UnitReceived)]
         return any(isinstance(event, Authenticated) for event in events)
 

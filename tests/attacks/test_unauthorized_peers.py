@@ -26,7 +26,7 @@ from rossec.errors import ConnectionHeaderRefused, IdentityRefused, PeerRefused,
 from rossec.net.aio import connect
 from rossec.net.rpc.calls import RpcClient
 from rossec.ros import tcpros
-from rossec.ros.names import MASTER
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from tests.support.attacker import (
     EVE,
     HOST,
@@ -230,7 +230,7 @@ async def test_the_slave_api_refuses_a_peer_revoked_while_connected(site: Site, 
         assert await client.ask("requestTopic", name, TOPIC, [["TCPROS"]])
         data = site.revoke(site.identity(name).thumbprint)
         with pytest.raises(CAError):  # the timestamp is invalid; the list counts nevertheless
-            robot.revocations_arrived(data, b"", site.identity(MASTER))
+            robot.push_arrived(REVOCATION_UPDATE, (data, b""), site.identity(MASTER))
         with pytest.raises(RossecError):  # the connection is cut,
             await client.call("shutdown", name, "now")
         client = RpcClient(await dial(robot.uri, credentials(site, name)))  # and a new one is refused

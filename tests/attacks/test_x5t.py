@@ -182,7 +182,7 @@ async def test_a_responder_that_names_the_certificate_of_another(site: Site, wit
 
     verify = site.anchor.verify
     async with serve(never, HOST, 0, unlimited(forged, verify)) as server:
-        remembered.note_address((HOST, server.port))
+        remembered.addresses[HOST, server.port] = None
         with pytest.raises(HandshakeFailed, match="signature"):
             await connect(HOST, server.port, unlimited(own, verify, known=remembered))
     assert called == []

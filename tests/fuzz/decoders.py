@@ -48,7 +48,7 @@ from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.linknet import REPLY, frame, opened
 from tests.support.pki import NOW as SOME_TIME
 from tests.support.pki import Site, new_signer
-from tests.support.wire import ALICE, NOW, joined, wire
+from tests.support.wire import ALICE, NOW, joined, receive, wire
 
 Target: TypeAlias = Callable[[bytes], object]
 
@@ -85,20 +85,20 @@ def rfc9529() -> list[bytes]:
 
 def _responder(data: bytes) -> None:
     w = wire()
-    w.right.core.receive_data(data, NOW)
+    receive(w.right.core, data, NOW)
 
 
 def _initiator(data: bytes) -> None:
     w = wire()
     w.left.take()
-    w.left.core.receive_data(data, NOW)
+    receive(w.left.core, data, NOW)
 
 
 def _records(data: bytes) -> None:
     """An attacker has no keys: whatever it sends, nothing may be delivered."""
     w = joined()
     with suppress(HintedError):
-        events = w.right.core.receive_data(data, NOW)
+        events = receive(w.right.core, data, NOW)
         assert events == []
 
 

@@ -14,16 +14,29 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from ca.errors import CAError
 from ca.keys.signing import KeySigner
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, OwnDials, Renews
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, OwnDials, PeerT, Renews
 from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.negotiation import Authenticated, Event, UnitReceived
 from rossec.channel.opening import WireProtocol
-from rossec.channel.records import ChannelLimits
+from rossec.channel.records import Bytes, ChannelLimits
 from rossec.errors import ChannelError
 
 NOW = 1_800_000_000
 DAY = 86400
 NOT_AFTER = NOW + 30 * DAY
+
+
+def receive(core: Connection[PeerT], data: Bytes, now: int) -> list[Event[PeerT]]:
+    """Give bytes from the peer to a connection, as the reader of a socket does."""
+    events: list[Event[PeerT]] = []
+    rest = memoryview(data)
+    while len(rest) > 0:
+        room = core.get_buffer()
+        count = min(len(room), len(rest))
+        room[:count] = rest[:count]
+        rest = rest[count:]
+        events += core.buffer_updated(count, now)
+    return events
 
 
 @dataclass(frozen=True)
@@ -148,7 +161,7 @@ class End:
         size = step or max(1, len(data))
         try:
             for start in range(0, len(data), size):
-                self.events += self.core.receive_data(data[start : start + size], NOW)
+                self.events += receive(self.core, data[start : start + size], NOW)
         except ChannelError as error:
             self.error = self.error or error
 

@@ -136,8 +136,8 @@ class KnownCertificates:
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
         self._chains: Newest[bytes, Chain | None] = Newest(capacity)
-        self._introduced: Newest[bytes, None] = Newest(capacity)
-        self._addresses: Newest[tuple[str, int], None] = Newest(capacity)
+        self.introduced: Newest[bytes, None] = Newest(capacity)  # certificates whose holders have the own one
+        self.addresses: Newest[tuple[str, int], None] = Newest(capacity)  # where a known peer was reached
 
     def __len__(self) -> int:
         return len(self._chains)
@@ -158,30 +158,10 @@ class KnownCertificates:
             case _:
                 return x5chain(id_cred)
 
-    def introduce(self, certificate: bytes) -> None:
-        """Note that the holder of `certificate` has received this node's own."""
-        self._introduced[certificate] = None
 
-    def is_introduced(self, certificate: bytes) -> bool:
-        return certificate in self._introduced
-
-    def note_address(self, address: tuple[str, int]) -> None:
-        """Note that a known peer was reached at this host and port."""
-        self._addresses[address] = None
-
-    def knows_address(self, address: tuple[str, int]) -> bool:
-        return address in self._addresses
-
-    def forget_introductions(self) -> None:
-        """After an error 3: a peer does not know this node's certificate (any more)."""
-        self._introduced.clear()
-
-
+@dataclass(eq=False, slots=True, weakref_slot=True)
 class Dial:
-    __slots__ = ("__weakref__", "g_y")
-
-    def __init__(self) -> None:
-        self.g_y: bytes | None = None
+    g_y: bytes | None = None
 
 
 class OwnDials:

@@ -13,31 +13,8 @@ from cryptography.exceptions import InvalidTag
 
 from ca.encoding import Value, encode
 from ca.errors import ForeignCertificate, HintedError
-from rossec.channel.edhoc.credentials import (
-    Dial,
-    FindChain,
-    KnownCertificates,
-    OwnCredential,
-    OwnDials,
-    PeerT,
-    Renews,
-    Verify,
-    encode_id_cred,
-    reference,
-    x5chain,
-)
-from rossec.channel.edhoc.messages import (
-    MAX_PLAINTEXT_2,
-    RENEWALS_EAD,
-    Message1,
-    Plaintext,
-    decode_bytes,
-    decode_message_1,
-    decode_plaintext,
-    decode_plaintext_4,
-    encode_identifier,
-    says_renewals,
-)
+from rossec.channel.edhoc import credentials, messages
+from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.edhoc.suites import (
     GONE,
     HASH_LENGTH,
@@ -82,16 +59,16 @@ class WrongSuite(HandshakeFailed):
 class EdhocConfig(Generic[PeerT]):
     """One side's inputs: its credential, whom it trusts, its random source, its policy."""
 
-    credential: OwnCredential
-    verify: Verify[PeerT]
+    credential: credentials.OwnCredential
+    verify: credentials.Verify[PeerT]
     random: Random
     suites: tuple[int, ...] = PRODUCTION
-    find_chain: FindChain = x5chain
-    known: KnownCertificates | None = None  # with it, certificates may be named by x5t
-    own_dials: OwnDials | None = None  # with it, an initiator means to reach this node itself
+    find_chain: credentials.FindChain = credentials.x5chain
+    known: credentials.KnownCertificates | None = None  # with it, certificates may be named by x5t
+    own_dials: credentials.OwnDials | None = None  # with it, an initiator means to reach this node itself
     request_x5t: bool = False  # an initiator's: ask the responder for an x5t
     ead: bytes = b""
-    renews: Renews[PeerT] | None = None  # with it, this side takes renewed certificates, and says so
+    renews: credentials.Renews[PeerT] | None = None  # with it, this side takes renewals, and says so
     c_i: bytes = C_I
     c_r: bytes = C_R
 
@@ -121,7 +98,7 @@ class EdhocPeer(Generic[PeerT]):
         self._chain: tuple[bytes, ...] = ()
         self._peer_sent_x5t = False  # how the peer named its certificate
         self._g_x = self._g_y = b""
-        self._dial: Dial | None = None  # set: an initiator that means to reach itself
+        self._dial: credentials.Dial | None = None  # set: an initiator that means to reach itself
         self.send_x5t = False  # this side names its certificate by a hash
         self.sent = b""  # the certificate of this side's statement
         self.peer_renews = False  # it takes what is renewed while the connection is open
@@ -148,30 +125,30 @@ class EdhocPeer(Generic[PeerT]):
         # 1. ID_CRED_x, CRED_x, EAD_x.
         self.sent = own.certificate
         cred = bstr(self.sent)
-        named = reference(self.sent) if self.send_x5t else own.id_cred
-        ead = config.ead if config.renews is None else RENEWALS_EAD
+        named = credentials.reference(self.sent) if self.send_x5t else own.id_cred
+        ead = config.ead if config.renews is None else messages.RENEWALS_EAD
         # 2. MAC_x, and the signature over it.
-        prefix = b"" if c_r is None else encode_identifier(c_r)
-        statement = _Statement(label, prefix, encode_id_cred(named), self._th, cred, ead)
+        prefix = b"" if c_r is None else messages.encode_identifier(c_r)
+        statement = _Statement(label, prefix, credentials.encode_id_cred(named), self._th, cred, ead)
         signature = own.signer.sign(statement.to_be_signed(self._prk))
         # 3. PLAINTEXT_x; the next transcript hash is over it, not over its ciphertext.
-        plaintext = Plaintext(c_r, named, signature, ead).encode()
+        plaintext = messages.Plaintext(c_r, named, signature, ead).encode()
         self._th = transcript_next(self._th, plaintext, cred)
         return plaintext
 
     def _check(self, label: KdfLabel, plaintext: bytes, now: int) -> PeerT:
         # Sections 5.3.3 and 5.4.3, from the decrypted plaintext on.
         # 1. Decode it.
-        parsed = decode_plaintext(plaintext, with_c_r=label is KdfLabel.MAC_2)
+        parsed = messages.decode_plaintext(plaintext, with_c_r=label is KdfLabel.MAC_2)
         # 2. From ID_CRED_x to CRED_x and the authentication key, by the application's policy.
         certificate, peer = self._identify(parsed.id_cred, now)
         # 3. Verify Signature_or_MAC_x.
-        prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
-        id_cred, cred = encode_id_cred(parsed.id_cred), bstr(certificate)
+        prefix = b"" if parsed.c_r is None else messages.encode_identifier(parsed.c_r)
+        id_cred, cred = credentials.encode_id_cred(parsed.id_cred), bstr(certificate)
         statement = _Statement(label, prefix, id_cred, self._th, cred, parsed.ead)
         self.suite.verify(peer.public_key, parsed.signature, statement.to_be_signed(self._prk))
         # 4. EAD_x, and the next transcript hash.
-        self.peer_renews = says_renewals(parsed.ead)
+        self.peer_renews = messages.says_renewals(parsed.ead)
         self._th = transcript_next(self._th, plaintext, cred)
         return peer
 
@@ -179,7 +156,7 @@ class EdhocPeer(Generic[PeerT]):
         known = self.config.known
         chain = self.config.find_chain(id_cred) if known is None else known.find(id_cred)
         self._chain = chain
-        self._peer_sent_x5t = known is not None and id_cred == reference(chain[0])
+        self._peer_sent_x5t = known is not None and id_cred == credentials.reference(chain[0])
         try:
             peer = self.config.verify(chain, now)
         except HintedError as error:
@@ -203,7 +180,7 @@ class EdhocPeer(Generic[PeerT]):
         return aead, kdf(self._prk, iv, self._th, suite.nonce_length), _ENCRYPT0 + bstr(self._th)
 
     def _open(self, key: KdfLabel, iv: KdfLabel, message: bytes) -> bytes:
-        ciphertext = decode_bytes(message)
+        ciphertext = messages.decode_bytes(message)
         aead, nonce, associated = self._encrypt0(key, iv)
         try:
             return aead.decrypt(nonce, ciphertext, associated)
@@ -234,7 +211,7 @@ class Initiator(EdhocPeer[PeerT]):
             self._dial = config.own_dials.begin(self._g_x)
         # 3. C_I; then METHOD, SUITES_I, G_X, C_I, and no EAD_1.
         c_i = C_I_X5T if config.request_x5t else config.c_i
-        self._message_1 = Message1(METHOD, suites, self._g_x, c_i).encode()
+        self._message_1 = messages.Message1(METHOD, suites, self._g_x, c_i).encode()
 
     def message_1(self) -> bytes:
         return self._message_1
@@ -253,10 +230,10 @@ class Initiator(EdhocPeer[PeerT]):
     def message_2(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
         # Processing of message_2 (section 5.3.3).
         # 1. Decode G_Y_CIPHERTEXT_2.
-        body = decode_bytes(data)
+        body = messages.decode_bytes(data)
         exchange = self.suite.exchange
         g_y, ciphertext = body[: exchange.responder_length], body[exchange.responder_length :]
-        if not SIGNATURE_LENGTH < len(ciphertext) <= MAX_PLAINTEXT_2:
+        if not SIGNATURE_LENGTH < len(ciphertext) <= messages.MAX_PLAINTEXT_2:
             raise HandshakeFailed("message_2 of a wrong length")
         if g_y == self._g_x:
             raise HandshakeFailed("the peer reflects this node's ephemeral key")
@@ -272,7 +249,7 @@ class Initiator(EdhocPeer[PeerT]):
         peer = self._check(KdfLabel.MAC_2, plaintext, now)
         # A responder that sent its whole certificate may not cache this side's either.
         known = self.config.known
-        introduced = known is not None and known.is_introduced(self._chain[0])
+        introduced = known is not None and self._chain[0] in known.introduced
         self.send_x5t = introduced and self._peer_sent_x5t
         # Composition of message_3 (section 5.4.2): K_3 and IV_3 are of TH_3, the statement moves to TH_4.
         aead, nonce, associated = self._encrypt0(KdfLabel.K_3, KdfLabel.IV_3)
@@ -282,10 +259,10 @@ class Initiator(EdhocPeer[PeerT]):
 
     def message_4(self, data: bytes) -> None:
         """Check message_4: the responder holds the same key (section 5.5.3)."""
-        decode_plaintext_4(self._open(KdfLabel.K_4, KdfLabel.IV_4, data))
+        messages.decode_plaintext_4(self._open(KdfLabel.K_4, KdfLabel.IV_4, data))
         self._prk = GONE
         if self.config.known is not None:
-            self.config.known.introduce(self._chain[0])
+            self.config.known.introduced[self._chain[0]] = None
 
 
 class Responder(EdhocPeer[PeerT]):
@@ -293,7 +270,7 @@ class Responder(EdhocPeer[PeerT]):
         config = self.config
         # Processing of message_1 (section 5.2.3).
         # 1. Decode it.
-        parsed = decode_message_1(data)
+        parsed = messages.decode_message_1(data)
         if parsed.method != METHOD:
             raise HandshakeFailed("the peer requires another method than 0")
         # 2. The selected suite, the last one, is supported here, and none before it is.
@@ -317,7 +294,7 @@ class Responder(EdhocPeer[PeerT]):
         prk, th_2 = self._prk, self._th
         # 3. C_R, MAC_2, the signature: PLAINTEXT_2.
         plaintext = self._state(KdfLabel.MAC_2, config.c_r)
-        if len(plaintext) > MAX_PLAINTEXT_2:
+        if len(plaintext) > messages.MAX_PLAINTEXT_2:
             raise HandshakeFailed(
                 "this node's certificate chain is too long for the handshake",
                 "use a shorter chain: at most 8160 bytes fit",

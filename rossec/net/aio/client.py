@@ -11,20 +11,10 @@ from typing import Final
 
 from aiohappyeyeballs import start_connection
 
+from rossec import errors
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
-from rossec.errors import (
-    ChannelError,
-    ForeignIdentity,
-    HandshakeFailed,
-    HandshakeTimeout,
-    OwnCredentialUnknown,
-    PeerCredentialUnknown,
-    PeerRefused,
-    PeerUnreachable,
-    PlainPeer,
-)
 from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.transport import ByteTransport, Transport, TransportOwner
 from rossec.net.context import SecureContext
@@ -56,32 +46,28 @@ async def connect(
 ) -> SecureStream[PeerT]:
     """Connect and authenticate; one round trip after TCP's own.
 
-    The responder's verdict on this side's certificate arrives later, as `PeerRefused` from
-    `receive` or `send`. With `context.known`, the handshake is repeated by value after error 3.
-    `to_itself`: this node means to reach itself.
-
-    Raises:
-        PeerUnreachable: no TCP connection.
-        PlainPeer: a plain ROS node answered.
-        ChannelError: the handshake failed; the leaf says how.
+    The responder's verdict on this side's certificate arrives later, as `PeerRefused` from `receive` or
+    `send`. With `context.known`, the handshake is repeated by value after error 3. `to_itself`: this node
+    means to reach itself. Raises PeerUnreachable: no TCP connection; PlainPeer: a plain ROS node answered;
+    ChannelError: the handshake failed; the leaf says how.
     """
     core = partial(context.initiator, protocol, to_itself=to_itself)
     known = context.known
     if known is None:
         return await _handshake(await _dial(host, port, timeout), core)
-    request_x5t = known.knows_address((host, port))
+    request_x5t = (host, port) in known.addresses
     try:
         by_hash = partial(core, request_x5t=request_x5t)
         stream = await _handshake(await _dial(host, port, timeout), by_hash)
-    except (HandshakeFailed, PeerRefused) as error:
+    except (errors.HandshakeFailed, errors.PeerRefused) as error:
         # Any failure of a handshake by hash may be due to the hash.
         # Error 3 is not authenticated: whoever forges it costs one more handshake, by value.
-        if isinstance(error, PeerCredentialUnknown | OwnCredentialUnknown):
-            known.forget_introductions()
-        elif not request_x5t or isinstance(error, HandshakeTimeout):
+        if isinstance(error, errors.PeerCredentialUnknown | errors.OwnCredentialUnknown):
+            known.introduced.clear()
+        elif not request_x5t or isinstance(error, errors.HandshakeTimeout):
             raise
         stream = await _handshake(await _dial(host, port, timeout), core)
-    known.note_address((host, port))
+    known.addresses[host, port] = None
     return stream
 
 
@@ -92,7 +78,7 @@ async def _handshake(sock: socket.socket, core: Callable[[], Connection[PeerT]])
     except OSError as error:
         sock.close()
         hint = "the peer is overloaded, or something on the path resets connections"
-        raise PeerUnreachable(f"the connection was reset at once: {error}", hint) from error
+        raise errors.PeerUnreachable(f"the connection was reset at once: {error}", hint) from error
     except BaseException:
         sock.close()
         raise
@@ -102,19 +88,15 @@ async def _handshake(sock: socket.socket, core: Callable[[], Connection[PeerT]])
 def authenticate(
     connection: Connection[PeerT], transport: Callable[[TransportOwner], ByteTransport], address: str
 ) -> Awaitable[SecureStream[PeerT]]:
-    """Begin the handshake over this transport; what is returned waits for its end.
-
-    Raises:
-        ChannelError: the handshake failed; raised by what is returned.
-        OSError: of the transport, which is the caller's then.
-    """
+    """Begin the handshake over this transport; what is returned waits for its end. Raises ChannelError: the
+    handshake failed; raised by what is returned; OSError: of the transport, which is the caller's then."""
     ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
 
     def on_authenticated(stream: SecureStream[PeerT]) -> None:
         if not ready.done():
             ready.set_result(stream)
 
-    def on_end(_: SecureStream[PeerT], error: ChannelError) -> None:
+    def on_end(_: SecureStream[PeerT], error: errors.ChannelError) -> None:
         if not ready.done():
             ready.set_exception(error.bare())
 
@@ -144,6 +126,7 @@ async def dial(host: str, port: int, within: float) -> socket.socket:
             if not found:
                 raise OSError(f"no address for {host}")
             cancelled = task is not None and task.cancelling()
+            # A library chooses among the addresses of a host (0023).
             sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
             if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
                 sock.close()
@@ -184,7 +167,7 @@ async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa:
     except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
         # An invalid host or port: UnicodeError, IndexError and so on, by Python version.
         text = f"cannot connect to {host} port {port}: {_reason(error)}"
-        raise PeerUnreachable(text, _NOT_RUNNING) from error
+        raise errors.PeerUnreachable(text, _NOT_RUNNING) from error
 
 
 def _reason(error: Exception) -> str:
@@ -197,16 +180,16 @@ def _reason(error: Exception) -> str:
     return error.strerror.lower() if error.strerror else str(error)
 
 
-def as_master(error: ChannelError) -> ChannelError:
+def as_master(error: errors.ChannelError) -> errors.ChannelError:
     """The same error, where it is known that the peer should be the master: what to do."""
     match error:
-        case PeerUnreachable(hint=hint):
-            return PeerUnreachable(str(error), _START_MASTER if hint == _NOT_RUNNING else hint)
-        case PlainPeer():
+        case errors.PeerUnreachable(hint=hint):
+            return errors.PeerUnreachable(str(error), _START_MASTER if hint == _NOT_RUNNING else hint)
+        case errors.PlainPeer():
             text = f"what runs at the master's address is a plain master, roscore perhaps: {error}"
-            return PlainPeer(text, _PLAIN_MASTER)
-        case ForeignIdentity():
+            return errors.PlainPeer(text, _PLAIN_MASTER)
+        case errors.ForeignIdentity():
             text = f"what runs at the master's address is of another authority: {error}"
-            return ForeignIdentity(text, _OTHER_MASTER)
+            return errors.ForeignIdentity(text, _OTHER_MASTER)
         case _:
             return error

@@ -25,6 +25,7 @@ from rossec.net.limits import HalfOpenSlot
 _log = logging.getLogger("rossec.net.server")
 _REPORT_EVERY: Final = 10.0
 _BACKLOG: Final = 128
+# In one turn of the loop: what is connected already has its turn between.
 _ACCEPTS_PER_TURN: Final = 16
 ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 
@@ -203,11 +204,9 @@ def serve(
 ) -> SecureServer[PeerT]:
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
-    `handler` runs once per authenticated connection, which is closed when it returns. A connection
-    that opens in another protocol gets the refusal meant for plain peers.
-
-    Raises:
-        OSError: not an address of this host, or the port is taken.
+    `handler` runs once per authenticated connection, which is closed when it returns. A connection that opens
+    in another protocol gets the refusal meant for plain peers. Raises OSError: not an address of this host,
+    or the port is taken.
     """
     server = SecureServer(handler, context, protocol)
     server.listen(host, port)

@@ -13,17 +13,10 @@ from time import monotonic
 from typing import Final, Generic, Protocol, Self
 
 from rossec import clock
+from rossec.channel import negotiation
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
-from rossec.channel.negotiation import (
-    Authenticated,
-    Closed,
-    Event,
-    GrantsPresented,
-    IdentityRenewed,
-    Renewal,
-    UnitReceived,
-)
+from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.channel.records import Bytes
 from rossec.channel.tuning import JOIN_UNITS_BELOW, JOINED_UNITS
 from rossec.errors import ChannelClosed, ChannelError
@@ -77,8 +70,8 @@ class SecureStream(BaseStream, Generic[PeerT]):
         self._socket_closed = False
         self._when_closed: list[Callable[[], None]] | None = None
         self.authenticated = False
-        self._on_renewal: Callable[[Renewal[PeerT]], None] | None = None
-        self._untold: Renewal[PeerT] | None = None
+        self._on_renewal: Callable[[negotiation.Renewal[PeerT]], None] | None = None
+        self._untold: negotiation.Renewal[PeerT] | None = None
         self.address = address
         self.transport = transport(self)
         self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
@@ -106,7 +99,7 @@ class SecureStream(BaseStream, Generic[PeerT]):
         if self.connection.has_unfinished_unit:
             self._arm()
 
-    def _handle_events(self: Self, events: Sequence[Event[PeerT]]) -> None:
+    def _handle_events(self: Self, events: Sequence[negotiation.Event[PeerT]]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
@@ -114,15 +107,16 @@ class SecureStream(BaseStream, Generic[PeerT]):
                 self.peer = event.identity
                 self.authenticated = True
                 self._on_authenticated(self)
+                # The last flight leaves with what is sent in this turn: two writes and wake-ups less (0008).
                 self._loop.call_soon(self.flush)
                 self._arm()
-            elif not isinstance(event, Closed):
-                if isinstance(event, IdentityRenewed):
+            elif not isinstance(event, negotiation.Closed):
+                if isinstance(event, negotiation.IdentityRenewed):
                     self.peer = event.identity
                     self._arm()
                 if self._on_renewal is not None:
                     self._on_renewal(event)
-                elif isinstance(event, GrantsPresented):
+                elif isinstance(event, negotiation.GrantsPresented):
                     self._untold = event
             else:
                 self.flush()
@@ -166,15 +160,11 @@ class SecureStream(BaseStream, Generic[PeerT]):
             self._when_closed = []
         self._when_closed.append(callback)
 
-    def on_renewal(self, callback: Callable[[Renewal[PeerT]], None]) -> None:
+    def on_renewal(self, callback: Callable[[negotiation.Renewal[PeerT]], None]) -> None:
         self._on_renewal = callback
         untold, self._untold = self._untold, None
         if untold is not None:
             callback(untold)
-
-    @property
-    def takes_renewals(self) -> bool:
-        return self.connection.takes_renewals
 
     def present_identity(self, chain: Sequence[bytes]) -> None:
         if self.error is None:
@@ -324,6 +314,7 @@ class SecureStream(BaseStream, Generic[PeerT]):
         if not self._queue:
             return
         queue, self._queue = self._queue, []
+        # Joined they could be longer than a unit may be.
         units = queue if self._queued > self._limit else [b"".join(queue)]
         self._queued = 0
         for unit in units:

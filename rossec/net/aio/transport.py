@@ -27,7 +27,6 @@ class TransportOwner(Protocol):
 
     def get_buffer(self) -> memoryview:
         """The buffer for the next bytes; raises BlockingIOError: no room, the owner has paused reading."""
-        ...
 
     def buffer_updated(self, count: int) -> None: ...
     def eof_received(self) -> bool | None: ...
@@ -35,7 +34,6 @@ class TransportOwner(Protocol):
 
     def connection_lost(self) -> None:
         """The socket is closed; called once, never from within a call of this class."""
-        ...
 
 
 class ByteTransport(Protocol):

@@ -13,12 +13,13 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from dataclasses import KW_ONLY, InitVar, dataclass, field
 from time import monotonic
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from rossec.errors import ChannelError, CompactRefused, HangUp, HttpRefused, RossecError, XmlRpcRefused
 from rossec.net.limits import UNSHOWN_UNIT
-from rossec.net.rpc.time_slices import AT_ONCE, URGENT, TurnOwner, of_loop, source_of
+from rossec.net.rpc.time_slices import AT_ONCE, URGENT, LoopTurns, TurnOwner, of_loop, source_of
 from rossec.ros import xmlrpc
 from rossec.ros.calls import CallClient, CallServer, body_of, value_in, value_steps
 from rossec.ros.http import Oversized
@@ -62,54 +63,32 @@ Dispatch: TypeAlias = Callable[[str, tuple[object, ...], PeerT], object]
 connection."""
 
 
+@dataclass(eq=False, slots=True)
 class CallLoop(Generic[PeerT]):
-    __slots__ = (
-        "_bound",
-        "_busy",
-        "_calls",
-        "_deadline",
-        "_deadline_timer",
-        "_dispatch",
-        "_ended",
-        "_idle",
-        "_idle_set",
-        "_job",
-        "_loop",
-        "_scope",
-        "_stream",
-        "_turns",
-        "_urgent",
-        "_value",
-    )
+    _stream: ServedStream[PeerT]
+    _dispatch: Dispatch[PeerT]
+    _: KW_ONLY
+    limit: InitVar[int]
+    deadline: float
+    idle: float | None
+    compact: InitVar[bool] = True
+    bound: Callable[[], int] | None = None
+    urgent: bool = False
+    _turns: LoopTurns = field(default_factory=of_loop, init=False)
+    _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop, init=False)
+    _calls: CallServer = field(init=False)
+    _scope: asyncio.Timeout = field(init=False)
+    _job: "asyncio.Future[Coroutine[Any, Any, None] | None]" = field(init=False)
+    _idle_set: float = field(default=0.0, init=False)
+    _deadline_timer: asyncio.TimerHandle | None = field(default=None, init=False)
+    _value: Awaitable[object] | None = field(default=None, init=False)  # of the last call that takes time
+    _busy: bool = field(default=False, init=False)  # a call is being answered, and no other may be taken
+    _ended: bool = field(default=False, init=False)
 
-    def __init__(
-        self,
-        stream: ServedStream[PeerT],
-        dispatch: Dispatch[PeerT],
-        *,
-        limit: int,
-        deadline: float,
-        idle: float | None,
-        compact: bool = True,
-        bound: Callable[[], int] | None = None,
-        urgent: bool = False,
-    ) -> None:
-        self._stream = stream
-        self._bound = bound
-        self._urgent = urgent
-        self._turns = of_loop()
-        self._dispatch = dispatch
+    def __post_init__(self, limit: int, compact: bool) -> None:
         self._calls = CallServer(limit=limit, compact=compact)
-        self._deadline = deadline
-        self._idle = idle
-        self._loop = asyncio.get_running_loop()
-        self._scope = asyncio.timeout(idle)
-        self._idle_set = 0.0
-        self._deadline_timer: asyncio.TimerHandle | None = None
-        self._job: asyncio.Future[Coroutine[Any, Any, None] | None] = self._loop.create_future()
-        self._value: Awaitable[object] | None = None  # of the last call whose value takes time
-        self._busy = False  # a call is being answered, and no other may be taken
-        self._ended = False
+        self._scope = asyncio.timeout(self.idle)
+        self._job = self._loop.create_future()
 
     async def run(self) -> None:
         try:
@@ -187,7 +166,7 @@ class CallLoop(Generic[PeerT]):
                 unit = stream.next_unit()
             if unit is None:
                 if calls.pending and self._deadline_timer is None:
-                    self._deadline_timer = self._loop.call_later(self._deadline, self._end)
+                    self._deadline_timer = self._loop.call_later(self.deadline, self._end)
                 return None
             request, unit = calls.take(unit), None
         if self._deadline_timer is not None:
@@ -196,6 +175,7 @@ class CallLoop(Generic[PeerT]):
 
     def _answer(self, request: bytes | Oversized) -> None:
         turns = self._turns
+        # In turns: a megabyte takes some hundred milliseconds to parse (0047, attack `long-calls`).
         if isinstance(request, Oversized) or len(request) > AT_ONCE or not turns.has_time(self._source):
             steps = self._answer_steps(request)
             self._wait_for(self._respond_later(turns.run(self._source(), steps)))
@@ -207,7 +187,7 @@ class CallLoop(Generic[PeerT]):
             turns.spend(self._source, monotonic() - began)
 
     def _source(self) -> TurnOwner:
-        return URGENT if self._urgent else source_of(self._stream.peer)
+        return URGENT if self.urgent else source_of(self._stream.peer)
 
     def _answer_at_once(self, request: bytes) -> None:
         try:
@@ -227,7 +207,7 @@ class CallLoop(Generic[PeerT]):
     def _answer_steps(
         self, request: bytes | Oversized
     ) -> Generator[None, None, "_Message | Awaitable[object]"]:
-        bound = None if self._bound is None else self._bound()
+        bound = None if self.bound is None else self.bound()
         call = yield from self._calls.load_steps(request, bound)
         yield
         value = self._dispatch(call.method, call.params, self._stream.peer)
@@ -266,9 +246,9 @@ class CallLoop(Generic[PeerT]):
         if self._calls.closing:
             self._end()
         # Restart the idle time-out: not for each call, as a timer can cost more than the call.
-        elif self._idle is not None and (now := self._loop.time()) > self._idle_set + self._idle / 64:
+        elif self.idle is not None and (now := self._loop.time()) > self._idle_set + self.idle / 64:
             self._idle_set = now
-            self._scope.reschedule(now + self._idle)
+            self._scope.reschedule(now + self.idle)
 
     # -- time and ends
 

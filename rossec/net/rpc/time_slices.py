@@ -182,6 +182,7 @@ _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, LoopTurns]" = WeakKeyDict
 
 
 def of_loop() -> LoopTurns:
+    """The turns of the running loop: all long work on it shares them."""
     loop = asyncio.get_running_loop()
     turns = _shared.get(loop)
     if turns is None:

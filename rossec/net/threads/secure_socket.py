@@ -16,19 +16,10 @@ from threading import Lock
 from typing import Any, Final, Generic, Self
 
 from rossec import clock
+from rossec.channel import negotiation
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
-from rossec.channel.negotiation import (
-    ENDED,
-    Authenticated,
-    Closed,
-    ConnectionState,
-    Event,
-    GrantsPresented,
-    IdentityRenewed,
-    Renewal,
-    UnitReceived,
-)
+from rossec.channel.negotiation import ENDED, Authenticated, ConnectionState, UnitReceived
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError
@@ -69,8 +60,8 @@ class SecureSocket(Generic[PeerT]):
         self._core = core
         self._on_released: Callable[[], None] | None = on_released
         self._units: deque[bytes | memoryview] = deque()
-        self._renewed: deque[Renewal[PeerT]] = deque()
-        self._on_renewal: Callable[[Renewal[PeerT]], None] | None = None
+        self._renewed: deque[negotiation.Renewal[PeerT]] = deque()
+        self._on_renewal: Callable[[negotiation.Renewal[PeerT]], None] | None = None
         self._error: ChannelError | None = None
         self._timers_run_at = -1
         self._aborted = self._closed = False
@@ -150,20 +141,21 @@ class SecureSocket(Generic[PeerT]):
             self._send_last(self._core.data_to_send())  # the peer may be gone
         return True
 
-    def _handle_events(self, events: Sequence[Event[PeerT]]) -> None:
+    def _handle_events(self, events: Sequence[negotiation.Event[PeerT]]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._units.append(event.data)
             elif isinstance(event, Authenticated):
                 self.peer = event.identity
                 self._release()
-            elif isinstance(event, Closed):
+            elif isinstance(event, negotiation.Closed):
                 self._fail(ChannelClosed("the peer closed the connection"))
-            elif isinstance(event, GrantsPresented):  # the newest counts, also before anybody listens
-                others = (each for each in self._renewed if not isinstance(each, GrantsPresented))
+            elif isinstance(event, negotiation.GrantsPresented):
+                # The newest counts, also before anybody listens.
+                others = (each for each in self._renewed if not isinstance(each, negotiation.GrantsPresented))
                 self._renewed = deque((*others, event))
             else:
-                if isinstance(event, IdentityRenewed):
+                if isinstance(event, negotiation.IdentityRenewed):
                     self.peer = event.identity
                 if self._on_renewal is not None:
                     self._renewed.append(event)
@@ -174,13 +166,9 @@ class SecureSocket(Generic[PeerT]):
         while self._on_renewal is not None and self._renewed:
             self._on_renewal(self._renewed.popleft())
 
-    def on_renewal(self, callback: Callable[[Renewal[PeerT]], None]) -> None:
+    def on_renewal(self, callback: Callable[[negotiation.Renewal[PeerT]], None]) -> None:
         self._on_renewal = callback
         self._tell_renewals()
-
-    @property
-    def takes_renewals(self) -> bool:
-        return self._core.takes_renewals
 
     def present_identity(self, chain: Sequence[bytes]) -> None:
         with self._core_lock:

@@ -395,10 +395,9 @@ def connect_to_peer(
     own, program = definitions.from_header(fields), _program_name(fields)
     granted, caller = yield from _name_granted(agent, remote, fields)
     request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
-    expected = handshakes.ExpectedTopic(granted, own.name, own.md5sum)
     request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
     arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
-    decision = handshakes.admit_publisher(arrived.fields, peer, expected, agent.access, arrived.now)
+    decision = handshakes.admit_publisher(arrived.fields, peer, granted, own, agent.access, arrived.now)
     delivery.accepted_options(arrived.fields, delivery.NO_OPTIONS)
     sent = definitions.from_header(arrived.fields)
     kind = definitions.receiver_definition(own, sent, decision, agent.known_types)

@@ -11,6 +11,7 @@ from rossec import clock
 from rossec.border.constrained_node import SharedIdentity, ThingNode
 from rossec.errors import ConfigurationError
 from rossec.node import Node
+from rossec.ros.names import REVOCATION_UPDATE
 from tests.support.border import LAMP
 from tests.support.site import Site
 from tests.support.witness import until
@@ -106,9 +107,9 @@ async def test_what_the_master_pushes_is_for_all(site: Site) -> None:
         object.__setattr__(shared, "take_push", lambda method, *_: taken.append(method))
         master = site.identity("/master")
         assert isinstance(master, Identity)
-        node.revocations_arrived(b"", b"timestamp", master)
+        node.push_arrived(REVOCATION_UPDATE, (b"", b"timestamp"), master)
         assert taken == []
-        node.revocations_arrived(b"list", b"timestamp", master)
+        node.push_arrived(REVOCATION_UPDATE, (b"list", b"timestamp"), master)
         node.push_arrived("rossec.domainsUpdate", (b"",), master)
         assert taken == ["rossec.revocationUpdate", "rossec.domainsUpdate"]
         assert node.describe()["getName"] == LAMP

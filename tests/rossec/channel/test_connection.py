@@ -7,7 +7,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes, ChannelLimits
 from rossec.errors import ChannelClosed, ChannelError, ConnectionTruncated, HandshakeFailed, LimitExceeded
 from rossec.peer_limits import STEP, WINDOW
-from tests.support.wire import NOW, End, Wire, alice, bob, joined, peers, wire
+from tests.support.wire import NOW, End, Wire, alice, bob, joined, peers, receive, wire
 
 
 @pytest.mark.parametrize("step", [0, 1, 7])
@@ -83,7 +83,7 @@ def test_an_incomplete_unit_must_make_progress() -> None:
     core, begun = w.right.core, w.left.core.seal_unit(bytes(1_000_000))
     before = core.deadline()
     assert begins(w.right) is False
-    core.receive_data(next(begun), NOW)
+    receive(core, next(begun), NOW)
     assert begins(w.right) is True
     assert core.deadline() == NOW + STEP
     for second in range(0, 10 * WINDOW, STEP):
@@ -92,12 +92,12 @@ def test_an_incomplete_unit_must_make_progress() -> None:
     start = NOW + 10 * WINDOW
     for second in range(0, WINDOW - STEP, STEP):
         core.tick(start + second)
-    core.receive_data(next(begun), start + WINDOW)
+    receive(core, next(begun), start + WINDOW)
     for record in begun:
-        core.receive_data(record, start + 2 * WINDOW)
+        receive(core, record, start + 2 * WINDOW)
     assert begins(w.right) is False
     assert core.deadline() == before
-    core.receive_data(next(w.left.core.seal_unit(bytes(1_000_000))), start)
+    receive(core, next(w.left.core.seal_unit(bytes(1_000_000))), start)
     with pytest.raises(LimitExceeded, match="not whole after 60 seconds"):  # noqa: PT012 - at last
         for second in range(0, 2 * WINDOW, STEP):
             core.tick(start + second)
@@ -110,7 +110,7 @@ def test_a_unit_that_arrives_too_slowly_is_refused() -> None:
     core = w.right.core
     with pytest.raises(LimitExceeded, match="not whole after 600 seconds"):  # noqa: PT012 - at last
         for second, record in enumerate(w.left.core.seal_unit(bytes(200 * 1024 * 1024))):
-            core.receive_data(record, NOW + second)
+            receive(core, record, NOW + second)
 
 
 def test_the_close_in_the_middle_of_a_unit_is_a_truncation() -> None:
@@ -144,7 +144,7 @@ def test_a_forged_record_ends_the_connection_for_ever() -> None:
     w.right.give(record[:-1] + bytes([record[-1] ^ 1]))
     assert isinstance(w.right.error, ChannelError)
     assert "does not verify" in str(w.right.error)
-    assert w.right.core.receive_data(record, NOW) == []
+    assert receive(w.right.core, record, NOW) == []
     with pytest.raises(ChannelError):
         w.right.core.send_unit(b"y")
     assert w.right.take() == b""

@@ -40,7 +40,7 @@ def test_a_responder_without_the_certificate_answers_error_3() -> None:
     w = wire(alice(known=left, request_x5t=True), bob(known=KnownCertificates())).pump()
     assert isinstance(w.right.error, PeerCredentialUnknown)
     assert isinstance(w.left.error, OwnCredentialUnknown)
-    left.forget_introductions()
+    left.introduced.clear()
     assert peers(wire(alice(known=left), bob(known=KnownCertificates())).pump().right) == ["/alice"]
 
 

@@ -11,7 +11,7 @@ from rossec.channel.negotiation import ConnectionState
 from rossec.channel.opening import REFUSAL, WireProtocol, tcpros_refusal
 from rossec.channel.records import Frame, frame
 from rossec.errors import HandshakeFailed, IdentityRefused, PeerRefused, PlainPeer, ProtocolViolation
-from tests.support.wire import ALICE, NOW, STRANGER, FakeIdentity, alice, bob, dice, peers, wire
+from tests.support.wire import ALICE, NOW, STRANGER, FakeIdentity, alice, bob, dice, peers, receive, wire
 
 
 def test_the_responder_refuses_an_unknown_peer_without_a_reason() -> None:
@@ -57,7 +57,7 @@ def test_a_bug_in_verify_ends_the_connection() -> None:
     core = Connection[FakeIdentity].initiator(EdhocConfig(ALICE, broken, dice("x")), now=NOW)
     w.right.give(bytes(core.data_to_send()))
     with pytest.raises(ZeroDivisionError):
-        core.receive_data(w.right.take(), NOW)
+        receive(core, w.right.take(), NOW)
     assert core.state is ConnectionState.CLOSED
     assert core.data_to_send() == b""
 
@@ -77,10 +77,10 @@ def test_no_common_suite() -> None:
 def test_a_responder_answers_a_wrong_suite_once() -> None:
     flight = bytes(alice(suites=(4,)).data_to_send())
     core = bob()
-    core.receive_data(flight, NOW)
+    receive(core, flight, NOW)
     assert core.data_to_send() == frame(Frame.ERROR, encode_error(2, 6))
     with pytest.raises(HandshakeFailed):
-        core.receive_data(flight[16:], NOW)
+        receive(core, flight[16:], NOW)
 
 
 def test_an_initiator_does_not_retry_twice() -> None:
@@ -104,10 +104,10 @@ def test_an_error_message_is_never_answered() -> None:
 def test_a_plain_caller_receives_the_refusal() -> None:
     core = bob()
     request = b"\x0a\0\0\0" + b"\x06\0\0\0a=bcde"
-    core.receive_data(request[:-1], NOW)
+    receive(core, request[:-1], NOW)
     assert core.state is ConnectionState.DRAINING
     with pytest.raises(PlainPeer):
-        core.receive_data(request[-1:], NOW)
+        receive(core, request[-1:], NOW)
     assert core.data_to_send() == tcpros_refusal(REFUSAL)
 
 
@@ -121,13 +121,13 @@ def test_an_opening_that_is_not_accepted_receives_the_refusal() -> None:
 def test_a_plain_node_answers() -> None:
     core = alice()
     with pytest.raises(PlainPeer, match="no topic or service name detected"):
-        core.receive_data(tcpros_refusal("no topic or service name detected"), NOW)
+        receive(core, tcpros_refusal("no topic or service name detected"), NOW)
 
 
 def test_garbage_is_dropped_silently() -> None:
     core = bob()
     with pytest.raises(ProtocolViolation):
-        core.receive_data(b"\xff" * 100, NOW)
+        receive(core, b"\xff" * 100, NOW)
     assert core.data_to_send() == b""
 
 

@@ -5,7 +5,7 @@ import pytest
 from rossec.channel.negotiation import ConnectionState
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelClosed, ChannelError, LimitExceeded, ProtocolViolation
-from tests.support.wire import NOW, SMALL, alice, bob, joined, wire
+from tests.support.wire import NOW, SMALL, alice, bob, joined, receive, wire
 
 
 def test_a_unit_beyond_the_limit_is_refused_before_anything_happens() -> None:
@@ -62,7 +62,7 @@ def test_closing_during_the_handshake_sends_nothing() -> None:
     core.close()
     assert core.state is ConnectionState.CLOSED
     assert core.data_to_send() == b""
-    assert core.receive_data(b"whatever", NOW) == []
+    assert receive(core, b"whatever", NOW) == []
 
 
 def test_records_sealed_meanwhile_go_first() -> None:

@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from rossec.channel.negotiation import ConnectionState
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelError
-from tests.support.wire import NOW, End, alice, bob, wire
+from tests.support.wire import NOW, End, alice, bob, receive, wire
 
 LIMITS = ChannelLimits(records=5, octets=1 << 20, seconds=1 << 30)
 SIDES = st.sampled_from(["left", "right"])
@@ -109,7 +109,7 @@ class TwoConnections(RuleBasedStateMachine):
         for end in self.ends.values():
             if end.error is not None:
                 assert end.core.state is ConnectionState.CLOSED
-                assert end.core.receive_data(b"\x40\0\0\x11" + bytes(17), NOW) == []
+                assert receive(end.core, b"\x40\0\0\x11" + bytes(17), NOW) == []
 
     @invariant()
     def an_honest_wire_breaks_nothing(self) -> None:

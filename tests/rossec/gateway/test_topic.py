@@ -89,9 +89,9 @@ async def test_the_type_is_that_of_the_first_source() -> None:
     async with served() as it:
         it.publisher.subscribe()
         origin = await it.subscribed()
-        before = it.publisher.is_described
+        before = it.publisher._known.is_set()
         origin.connect(source())
-        assert (before, it.publisher.is_described) == (False, True)
+        assert (before, it.publisher._known.is_set()) == (False, True)
         with pytest.raises(ConnectionHeaderRefused, match="Int8"):
             origin.connect(source(INT8))
         assert not it.publisher.was_cut
@@ -103,7 +103,7 @@ async def test_another_gateway_is_no_source() -> None:
         origin = await it.subscribed()
         with pytest.raises(ConnectionHeaderRefused, match="no node of the origin"):
             origin.connect(RawSource("/gateway/attic", STRING, False))
-        assert not it.publisher.is_described
+        assert not it.publisher._known.is_set()
 
 
 async def test_a_topic_whose_type_changes_is_closed() -> None:

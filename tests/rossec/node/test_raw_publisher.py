@@ -49,7 +49,7 @@ async def test_a_subscriber_waits_until_the_type_is_known(site: Site) -> None:
         publisher, demand = await forwarded(box)
         subscriber = await viewer.subscriber("/said", TYPE)
         await until(lambda: publisher.demand == 1, within=20)
-        assert not publisher.is_described
+        assert not publisher._known.is_set()
         assert not publisher.links
         publisher.describe(STRING)
         await until(lambda: bool(publisher.links), within=20)

@@ -50,7 +50,7 @@ class Pair:
         handshakes.admit_subscriber(fields, peer or self.viewer, self.robot_access, NOW)
 
     def admit_robot(self, fields: Fields) -> None:
-        handshakes.admit_publisher(fields, self.robot, ENDPOINT.expected, self.viewer_access, NOW)
+        handshakes.admit_publisher(fields, self.robot, ENDPOINT.topic, ENDPOINT.type, self.viewer_access, NOW)
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def pair(tmp_path: Path) -> Pair:
 def test_the_two_headers_admit_each_other(pair: Pair) -> None:
     pair.admit_viewer(pair.request())
     pair.admit_robot(pair.answer())
-    handshakes.check_type(pair.request(), ENDPOINT.expected)
+    handshakes.check_type(pair.request(), ENDPOINT.topic, ENDPOINT.type)
     assert handshakes.requested_topic(pair.request()) == ENDPOINT.topic
 
 
@@ -137,10 +137,10 @@ def test_an_error_of_the_publisher_is_quoted_on_one_line(pair: Pair) -> None:
 def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) -> None:
     fields = pair.request() | change
     if fits:
-        handshakes.check_type(fields, ENDPOINT.expected)
+        handshakes.check_type(fields, ENDPOINT.topic, ENDPOINT.type)
         return
     with pytest.raises(ConnectionHeaderRefused, match="the peer expects") as caught:
-        handshakes.check_type(fields, ENDPOINT.expected)
+        handshakes.check_type(fields, ENDPOINT.topic, ENDPOINT.type)
     other = "name the type that the topic carries" if "type" in change else "same version"
     assert other in caught.value.hint
 
@@ -164,7 +164,7 @@ def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair:
     assert fields["topic"] == b"/robot/pose"
     assert access.presented == [("subscribe", ALIAS.topic)]
     hospital_robot = replace(pair.robot, name="/remote/hospital/robot", certified="/robot")
-    handshakes.admit_publisher(pair.answer(), hospital_robot, ALIAS.expected, access, NOW)
+    handshakes.admit_publisher(pair.answer(), hospital_robot, ALIAS.topic, ALIAS.type, access, NOW)
     assert access.authorized == [("/remote/hospital/robot", "publish", ALIAS.topic)]
 
 
@@ -172,7 +172,7 @@ def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair:
 def test_a_publisher_answers_with_the_origins_name(pair: Pair, topic: str) -> None:
     answer = pair.answer() | {"topic": topic.encode()}
     with pytest.raises(ConnectionHeaderRefused, match="another topic than hospital:/robot/pose"):
-        handshakes.admit_publisher(answer, pair.robot, ALIAS.expected, OpenAccess(), NOW)
+        handshakes.admit_publisher(answer, pair.robot, ALIAS.topic, ALIAS.type, OpenAccess(), NOW)
 
 
 def test_a_subscriber_that_asks_for_an_alias_is_refused(pair: Pair) -> None:

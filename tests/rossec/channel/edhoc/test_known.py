@@ -36,12 +36,12 @@ def test_the_cache_is_bounded() -> None:
     memory = KnownCertificates(2)
     for certificate in (b"a", b"b", b"c"):
         memory.remember((certificate,))
-        memory.introduce(certificate)
-        memory.note_address(("host", certificate[0]))
+        memory.introduced[certificate] = None
+        memory.addresses["host", certificate[0]] = None
     assert len(memory) == 2
     with pytest.raises(PeerCredentialUnknown):
         memory.find(reference(b"a"))
-    assert [memory.is_introduced(c) for c in (b"a", b"b", b"c")] == [False, True, True]
-    assert [memory.knows_address(("host", c)) for c in b"abc"] == [False, True, True]
-    memory.forget_introductions()
-    assert not memory.is_introduced(b"c")
+    assert [c in memory.introduced for c in (b"a", b"b", b"c")] == [False, True, True]
+    assert [("host", c) in memory.addresses for c in b"abc"] == [False, True, True]
+    memory.introduced.clear()
+    assert b"c" not in memory.introduced

@@ -6,7 +6,7 @@ import gc
 from rossec.channel.edhoc.credentials import KnownCertificates, OwnDials
 from rossec.channel.negotiation import Authenticated
 from rossec.errors import IdentityRefused, PeerRefused
-from tests.support.wire import ALICE, BOB, FakeIdentity, Wire, alice, bob, wire
+from tests.support.wire import ALICE, BOB, FakeIdentity, Wire, alice, bob, receive, wire
 
 
 def own(dials: OwnDials, answering: OwnDials | None) -> Wire:
@@ -78,8 +78,8 @@ def test_a_repeated_message_1_changes_nothing() -> None:
     second._negotiation._edhoc.config = dataclasses.replace(
         second._negotiation._edhoc.config, random=lambda size: b"\5" * size
     )
-    first.receive_data(flight, 0)
-    second.receive_data(flight, 0)
+    receive(first, flight, 0)
+    receive(second, flight, 0)
     answer = bytes(second.data_to_send())
     assert bytes(first.data_to_send()) != answer
     w = wire(caller, second)

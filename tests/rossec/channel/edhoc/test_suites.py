@@ -14,7 +14,7 @@ from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM, PRODUCTION, SUITES
 from rossec.channel.negotiation import ConnectionState
 from rossec.errors import HandshakeFailed
-from tests.support.wire import NOT_AFTER, NOW, dice
+from tests.support.wire import NOT_AFTER, NOW, dice, receive
 
 
 @pytest.mark.parametrize("number", SUITES)
@@ -129,8 +129,8 @@ def test_suite_4_from_the_opening_to_a_record() -> None:
     left = Connection[EdwardsPeer].initiator(ours, now=NOW)
     right = Connection[EdwardsPeer].responder(theirs, now=NOW)
     for _ in range(2):
-        right.receive_data(left.data_to_send(), NOW)
-        left.receive_data(right.data_to_send(), NOW)
+        receive(right, left.data_to_send(), NOW)
+        receive(left, right.data_to_send(), NOW)
     assert left.state is ConnectionState.OPEN
     left.send_unit(b"x" * 300_000)
-    assert len(right.receive_data(left.data_to_send(), NOW)) == 1
+    assert len(receive(right, left.data_to_send(), NOW)) == 1

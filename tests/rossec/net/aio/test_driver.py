@@ -81,7 +81,7 @@ async def test_what_the_peer_renews_is_told_in_order() -> None:
         await stream.send(b"z")
         assert await stream.receive() == b"z"
         assert [type(event) for event in heard[1:]] == [IdentityRenewed]
-        assert stream.takes_renewals
+        assert stream.connection.takes_renewals
         stream.abort("done")
         assert not stream.present_grants(b"grants")
         own.open_streams.present(renewed(ALICE, 3))

@@ -18,7 +18,7 @@ from rossec.net.threads import secure_socket
 from tests.support.contexts import context, live
 from tests.support.listener import SecureListener
 from tests.support.secure_sockets import Secure, background, dial, make_listener, pair, read
-from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, renewed, renews, trust
+from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, receive, renewed, renews, trust
 
 
 def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
@@ -91,7 +91,7 @@ def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> Non
         def half_way() -> None:
             sock, _ = server.accept()
             with sock:
-                core.receive_data(sock.recv(65536), NOW)
+                receive(core, sock.recv(65536), NOW)
                 sock.sendall(core.data_to_send())
                 done.wait()
 
@@ -202,7 +202,7 @@ def test_what_the_peer_renews_reaches_who_only_sends() -> None:
             if len(heard) > 1:
                 break
         assert isinstance(heard[1], IdentityRenewed)
-        assert left.takes_renewals
+        assert left._core.takes_renewals
         left.close()
         assert not left.present_grants(b"grants")
         right.close()
