@@ -86,8 +86,7 @@ class Enrollment:
         self.known = RecordedName.NEW  # of meaning from COMPARED on
         self.error: HintedError | None = None
         self._destination, self._service = destination, service
-        self._clock, self._changed = clock, changed
-        self._begun = clock()
+        self._clock, self._changed, self._begun = clock, changed, clock()
 
     @property
     def is_over(self) -> bool:
@@ -239,11 +238,7 @@ class Enrollments:
     # nothing that was approved makes room.
 
     def __init__(
-        self,
-        service: EnrollmentService,
-        domain: str,
-        clock: Callable[[], int],
-        changed: Callable[[], None] = lambda: None,
+        self, service: EnrollmentService, domain: str, clock: Callable[[], int], changed: Callable[[], None]
     ) -> None:
         self._service, self._domain = service, domain
         self._clock, self._changed = clock, changed
@@ -302,10 +297,6 @@ class Enrollments:
             place.found.approve(outcome)
             self._running.add(number, place, place.owner, _APPROVED)
             self._spawn(place, partial(place.found.deliver, outcome))
-
-    async def reject(self, number: str) -> None:
-        # A person has rejected the request: nothing is signed, and the record says so.
-        await self.get(number).reject()
 
     async def differ(self, number: str) -> None:
         place = self._place(number)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final, Generic, TypeVar
 
+from ca.approvals.passkeys import base64url
 from ca.bounded import Newest
 from rossec import clock
 from rossec.authority.console import messages
@@ -34,18 +35,12 @@ _TEXT_SIZE: Final = 43  # of 32 bytes as base64url
 
 @dataclass
 class LoginSession:
-    """A login. `phone`: the passkey's name; empty: by a code, to look.
-
-    `passkey` is its credential id, as soon as that is known (`known_phones`). `seen` is the number
-    of the last log entry that it was shown; None: none yet.
-    """
-
     id: bytes
-    phone: str
+    phone: str  # the passkey's name; empty: by a code, to look
     began: float
     used: float
-    seen: int | None = None
-    passkey: bytes = b""
+    seen: int | None = None  # the number of the last log entry that it was shown; None: none yet
+    passkey: bytes = b""  # its credential id, as soon as that is known (`KnownPhones`)
 
 
 class Sessions:
@@ -65,7 +60,7 @@ class Sessions:
         owner = messages.of_phone(phone) if phone else messages.LOOKER
         if self._sessions.add(session.id, session, owner, messages.rank(owner)) is None:
             raise HttpRefused("too many are logged in", "log out elsewhere, or use a phone", status=429)
-        return base64.urlsafe_b64encode(secret).rstrip(b"=").decode()
+        return base64url(secret)
 
     def find(self, cookie: str, now: float) -> LoginSession | None:
         if len(cookie) != _TEXT_SIZE or not cookie.isascii():

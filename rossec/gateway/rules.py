@@ -43,12 +43,15 @@ LONGEST_PAUSE: Final = 15.0
 
 @dataclass(frozen=True)
 class TopicRule:
+    """The topics of the domain `label` that `pattern` covers, asked for with `options`."""
+
     label: str
     pattern: str
     options: DeliveryOptions = DeliveryOptions()  # noqa: RUF009 - has no state
 
 
 def rule(label: str, pattern: str, options: DeliveryOptions) -> TopicRule:
+    """The rule, checked: `pattern` is of the origin's own names, not of what it has from others."""
     try:
         check_label(label)
     except HintedError as error:

@@ -217,12 +217,10 @@ class Look(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """The looks of one topic; `more`: ways to see it that are not shown."""
-
     topic: str
     type: str
     looks: tuple[Look, ...]
-    more: int
+    more: int  # ways to see it that are not shown
     is_made_up: bool
 
 

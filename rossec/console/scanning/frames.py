@@ -19,9 +19,7 @@ MAX_ANSWER: Final = 4096
 
 
 class Found(NamedTuple):
-    """The text of the code in a picture; empty: there is none."""
-
-    text: str
+    text: str  # of the code in a picture; empty: there is none
 
 
 class Unreadable(NamedTuple):

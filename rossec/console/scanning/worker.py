@@ -17,7 +17,6 @@ from rossec.enrollment import scanner
 from rossec.errors import ConfigurationError
 from rossec.host import sandbox
 from rossec.host.confinement import lower_limits
-from rossec.host.sandbox import protect_memory
 
 SEVERAL: Final = Unreadable("there are several codes in the picture", "show one of them alone")
 _LARGE: Final = Unreadable("the picture takes more memory than allowed", scanner.CLOSER)
@@ -34,7 +33,7 @@ _log = logging.getLogger("rossec.console.scanner")
 
 def main() -> None:
     logging.basicConfig(level=logging.WARNING)
-    protect_memory()
+    sandbox.protect_memory()
     answer(b"")  # loads the libraries
     confine()
     serve(sys.stdin.buffer, sys.stdout.buffer, answer)

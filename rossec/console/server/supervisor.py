@@ -21,9 +21,8 @@ from rossec.console.listening import listen
 from rossec.console.options import ConsoleEndpoint
 from rossec.console.preview.receiver import NAME
 from rossec.console.scanning import frames
-from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
-from rossec.console.server.control import IDLE, LIFETIME, ON_THE_WALL, WebSettings, write_settings
+from rossec.console.server.control import WebSettings
 from rossec.enrollment import CLOSER
 from rossec.errors import ConfigurationError, KeyMessageRefused
 from rossec.home import NodeHome
@@ -38,7 +37,7 @@ WORKER: Final = worker_command("rossec.console.scanning.worker")
 DEADLINE: Final = 4.0  # seconds for a picture
 SCANNER_START: Final = 20.0  # seconds more for the first picture of a worker
 SCANNER_IDLE: Final = 60.0  # seconds without a picture after which a worker ends
-_SLOW: Final = Unreadable("reading the picture took too long, or failed", CLOSER)
+_SLOW: Final = frames.Unreadable("reading the picture took too long, or failed", CLOSER)
 _log = logging.getLogger("rossec.console")
 _scanner_log = logging.getLogger("rossec.console.scanner")
 
@@ -48,10 +47,10 @@ every newer one, for ever."""
 
 
 class WebOptions(NamedTuple):
-    """What it serves; `service` is the path of the service's socket for the console."""
+    """What it serves."""
 
     settings: WebSettings
-    service: Path
+    service: Path  # of the service's socket for the console
     log: str = "text"
 
 
@@ -100,8 +99,8 @@ def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
         proxy_users=proxies,
         hsts=endpoint.hsts,
         read_only=endpoint.read_only,
-        lifetime=ON_THE_WALL if endpoint.read_only else LIFETIME,
-        idle=ON_THE_WALL if endpoint.read_only else IDLE,
+        lifetime=control.ON_THE_WALL if endpoint.read_only else control.LIFETIME,
+        idle=control.ON_THE_WALL if endpoint.read_only else control.IDLE,
     )
 
 
@@ -121,7 +120,7 @@ class WebProcess:
         self._certificates = certificates
         self._command = worker_command(module)
         self._process: subprocess.Popen[bytes] | None = None
-        self._started: asyncio.Future[None] | None = None
+        self._started = asyncio.Event()
 
     @property
     def pid(self) -> int | None:
@@ -133,7 +132,7 @@ class WebProcess:
     async def started(self) -> None:
         try:
             async with asyncio.timeout(START):
-                await self._future()
+                await self._started.wait()
         except TimeoutError as error:
             said = "the console's web process does not start"
             raise ConfigurationError(said, "its messages are above") from error
@@ -167,7 +166,7 @@ class WebProcess:
         options = self._options
         arguments = (
             ",".join(map(str, descriptors)),
-            write_settings(options.settings),
+            control.write_settings(options.settings),
             str(options.service),
             "plain" if self._certificates is None else "tls",
             options.log,
@@ -182,8 +181,7 @@ class WebProcess:
             while True:
                 if control.read(await read_frame(reader, control.frame_size)).word != control.READY:
                     raise KeyMessageRefused("the web process says what is not for it to say")
-                if not self._future().done():
-                    self._future().set_result(None)
+                self._started.set()
         except (asyncio.IncompleteReadError, ConnectionError):
             return
 
@@ -195,11 +193,6 @@ class WebProcess:
             self._process = None
         if self._preview is not None:
             await self._preview.end()
-
-    def _future(self) -> asyncio.Future[None]:
-        if self._started is None:
-            self._started = asyncio.get_running_loop().create_future()
-        return self._started
 
 
 class ScannerSupervisor:
@@ -238,7 +231,7 @@ class ScannerSupervisor:
             writer.transport.abort()
             self._end()
 
-    async def _read(self, picture: bytes) -> Found | Unreadable:
+    async def _read(self, picture: bytes) -> frames.Found | frames.Unreadable:
         limit = self._deadline
         try:
             if self._worker is None:
@@ -258,6 +251,8 @@ class ScannerSupervisor:
 
 
 class PreviewProcess:
+    """The process of the preview: `start` gives the socket at which its messages come."""
+
     def __init__(self, environ: Mapping[str, str], module: str = RECEIVER_MODULE) -> None:
         self._environ = environ
         self._command = worker_command(module)
@@ -288,6 +283,7 @@ class PreviewProcess:
 
 
 def check_enrolled(home: Path) -> None:
+    """Refuse a home without a valid identity of the preview's node."""
     node = NodeHome.of(home, NAME)
     if not (node.path / "node.pem").exists():
         raise ConfigurationError(

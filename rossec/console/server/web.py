@@ -17,14 +17,12 @@ from typing import Final, TypeAlias
 
 from rossec import clock
 from rossec.authority.console.client import ConsoleClient
-from rossec.console import samples
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
-from rossec.console.samples import PreviewMemory
+from rossec.console.samples import PreviewMemory, preview_size, read_preview
 from rossec.console.scanning import frames
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
-from rossec.console.server.control import WebSettings, read_settings
 from rossec.console.server.serving import ConsoleServer
 from rossec.errors import ConfigurationError, KeyMessageRefused, RossecError, ScannerBusy
 from rossec.host.runner import TaskSet, log_as_json
@@ -56,7 +54,9 @@ def main(arguments: list[str]) -> None:
         supervisor, scanner, *listening = (socket.socket(fileno=int(each)) for each in descriptors.split(","))
         context = make_context() if tls == "tls" else None
         preview = listening.pop(0) if pictures == "preview" else None
-        process = WebServer(read_settings(settings), ConsoleClient(Path(service)), scanner, context, preview)
+        process = WebServer(
+            control.read_settings(settings), ConsoleClient(Path(service)), scanner, context, preview
+        )
         await process.run(supervisor, listening)
 
     run_confined(run)
@@ -65,7 +65,7 @@ def main(arguments: list[str]) -> None:
 class WebServer:
     def __init__(
         self,
-        settings: WebSettings,
+        settings: control.WebSettings,
         client: ConsoleClient,
         scanner: socket.socket,
         context: ssl.SSLContext | None = None,
@@ -223,7 +223,7 @@ class PreviewClient:
         reader, writer = await asyncio.open_connection(sock=self._socket)
         try:
             while True:
-                self._memory.add(samples.read_preview(await read_frame(reader, samples.preview_size)))
+                self._memory.add(read_preview(await read_frame(reader, preview_size)))
         except KeyMessageRefused as error:
             _log.error("the preview breaks the protocol: %s", error)
         except (asyncio.IncompleteReadError, ConnectionError):

@@ -216,14 +216,15 @@ def _end(certificate: x509.Certificate) -> int:
 
 
 class TlsSetup(NamedTuple):
+    """Where the certificates come from, and the authority that issues them if it is the console's own."""
+
     source: CertificateSource
     authority: TlsAuthority | None = None
 
 
 def prepare_tls(endpoint: ConsoleEndpoint, directory: Path, now: int, *, rename: bool) -> TlsSetup | None:
-    """The certificates of `endpoint`; None: it does without. An authority for another name is replaced only
-    with `rename`: every phone trusts the old one.
-    """
+    """The certificates of `endpoint`; None: it does without."""
+    # An authority for another name is replaced only with `rename`: every phone trusts the old one.
     if endpoint.tls is Tls.NONE:
         return None
     if endpoint.tls is Tls.OWN:

@@ -97,6 +97,7 @@ def handing_out(
     port: int = HAND_OUT_PORT,
     seconds: float = SECONDS,
 ) -> Iterator[None]:
+    """While it is entered, and for `seconds` at most, hand out the certificate (DER) at `addresses`."""
     listening = listen_tcp(addresses, port)
     descriptors = [sock.fileno() for sock in listening]
     arguments = [",".join(map(str, descriptors)), origin, str(seconds), certificate.hex()]

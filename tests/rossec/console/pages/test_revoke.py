@@ -2,15 +2,15 @@
 
 import pytest
 
+from ca.approvals.passkeys import base64url
 from rossec.authority.console.messages import ListProgress
 from rossec.console.pages.decisions import REFRESH
-from rossec.console.rendering import to_base64url
 from rossec.console.server.control import WebSettings
 from tests.support.consolepages import ORIGIN, Browser
 
 
 def grant_of(browser: Browser) -> str:
-    return to_base64url(browser.home.grants[1].id)
+    return base64url(browser.home.grants[1].id)
 
 
 def test_a_grant_is_ended_with_a_reason() -> None:
