@@ -33,7 +33,6 @@ from rossec.console.enrollments import Enrollment
 from rossec.console.matrix import Cell, TopicAccess
 from rossec.console.pictures import looks as pictures
 from rossec.console.pictures.place import has_place
-from rossec.console.samples import Preview
 from rossec.console.sentences import Sayable, SentencePart, name_part, say, topic_part, wanted
 from rossec.console.sessions import SessionTable
 from rossec.errors import FormRefused
@@ -69,6 +68,7 @@ _PEM: Final = re.compile(
 _RELOAD: Final = "load the page anew, and decide again"
 
 Form = Mapping[str, str]
+_Ways = Sequence[tuple[str, Sequence[AskedRight]]]  # what is asked for, by the filter it would pass
 
 
 class ProposedAct(NamedTuple):
@@ -315,11 +315,9 @@ def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> Sayable:
     return say(*parts)
 
 
-def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> list[ApprovalWay]:
-    """What the node would get, in words; the narrowest first, as it asks last.
-
-    Of more than `most` those that show least, and what it asks for.
-    """
+def ways(given: _Ways, most: int = 6) -> list[ApprovalWay]:
+    """What the node would get, in words; the narrowest first, as it asks last."""
+    # Of more than `most` those that show least, and what it asks for.
     narrow = sorted(given, key=lambda each: strictness(each[1]), reverse=True)
     shown = [*[each for each in narrow if each[0]][: most - 1], *(each for each in given if not each[0])]
     found = []
@@ -371,13 +369,8 @@ def why_no_coarser(question: GrantQuestion) -> str:
     return f"No filter of the policy, and none of rossec's own, fits messages of {right.type}."
 
 
-def looks(
-    node: str, ways: Sequence[tuple[str, Sequence[AskedRight]]], preview: Preview | None = None
-) -> list[Looks]:
-    """What the node would see, of topics whose messages can be drawn.
-
-    Of real messages where `preview` has some, else of made-up ones.
-    """
+def looks(node: str, ways: _Ways, preview: samples.Preview | None = None) -> list[Looks]:
+    """What the node would see, of topics whose messages can be drawn."""
     seen = [
         each for each in ways[0][1] if each.right == Right.SUBSCRIBE and each.type and "*" not in each.pattern
     ]
@@ -412,9 +405,7 @@ def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:
     return tuple(each.restriction for each in permissions if each.restriction is not None)
 
 
-def _looks(
-    node: str, right: AskedRight, ways: Sequence[tuple[str, Sequence[AskedRight]]], preview: Preview | None
-) -> Looks | None:
+def _looks(node: str, right: AskedRight, ways: _Ways, preview: samples.Preview | None) -> Looks | None:
     applied = [each for _, rights in ways for one in rights for each in _restrictions(one)]
     recorded = samples.recorded(right.pattern, right.type, applied, preview)
     if recorded is None:

@@ -18,7 +18,6 @@ from ca.enrollment import NONCE_SIZE, WINDOW, qr
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import CodeRefused, EnrollmentExpired, EnrollmentOver, HintedError, RequestSwapped
 from rossec.authority.console import messages
-from rossec.authority.console.messages import ApprovalOutcome, IdentityRequestView, NodeView
 from rossec.enrollment import deliver, fetch
 from rossec.errors import KeyServiceFailed, RossecError
 from rossec.host import addresses
@@ -61,15 +60,15 @@ class Destination(NamedTuple):
 
 
 class EnrollmentService(Protocol):
-    async def nodes(self) -> tuple[NodeView, ...]: ...
+    async def nodes(self) -> tuple[messages.NodeView, ...]: ...
 
-    async def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
+    async def identity_requests(self) -> tuple[messages.IdentityRequestView, ...]: ...
 
     async def deny_request(self, request: bytes, reason: str) -> None: ...
 
     async def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...
 
-    async def outcome(self, statement: bytes, /) -> ApprovalOutcome: ...
+    async def outcome(self, statement: bytes, /) -> messages.ApprovalOutcome: ...
 
 
 class Enrollment:
@@ -136,10 +135,10 @@ class Enrollment:
         except HintedError as error:
             self.fail(error)
 
-    def approve(self, outcome: ApprovalOutcome) -> None:
+    def approve(self, outcome: messages.ApprovalOutcome) -> None:
         self._move(Stage.WAITING if outcome.state == WAITING else Stage.DELIVERING)
 
-    async def deliver(self, outcome: ApprovalOutcome) -> None:
+    async def deliver(self, outcome: messages.ApprovalOutcome) -> None:
         try:
             self.core.approve(self._clock())
             # Nothing is signed here: an approval is the service's, which returns the identity.
@@ -190,7 +189,7 @@ class Enrollment:
         self.error = error.bare()
         self._move(Stage.SWAPPED if isinstance(error, RequestSwapped) else Stage.FAILED)
 
-    async def _signed(self, outcome: ApprovalOutcome) -> bytes:
+    async def _signed(self, outcome: messages.ApprovalOutcome) -> bytes:
         while outcome.state == WAITING:
             self._end_if_late()
             await asyncio.sleep(POLL)
@@ -291,7 +290,7 @@ class Enrollments:
     def get(self, number: str) -> Enrollment:
         return self._place(number).found
 
-    def approved(self, number: str, outcome: ApprovalOutcome) -> None:
+    def approved(self, number: str, outcome: messages.ApprovalOutcome) -> None:
         place = self._place(number)
         if place.found.stage is Stage.COMPARED:
             place.found.approve(outcome)

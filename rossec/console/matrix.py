@@ -170,10 +170,8 @@ def build(
     now: int,
     type_of: Callable[[str], str] = lambda _: "",
 ) -> Matrix:
-    """The matrix of all topics that a grant or the graph names, and all nodes with a grant to see.
-
-    `type_of` is the type of a topic by the policy, where neither of these says it; empty: no word.
-    """
+    """The matrix of all topics that a grant or the graph names, and all nodes with a grant to see."""
+    # The type of a topic by the policy (`type_of`) counts where neither of these says it.
     types = {fact.name: fact.node for fact in facts if fact.kind == "type"}
     topics = sorted(_topics(held, facts), key=lambda topic: (_is_pattern(topic), topic))
     sees = [each for each in held if any(Right.SUBSCRIBE in one.rights for one in each.grant.permissions)]
@@ -337,10 +335,7 @@ def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
 def held_accesses(
     held: Iterable[ShownGrant], types: Mapping[str, str], type_of: Callable[[str], str] = lambda _: ""
 ) -> list[ReceiverAccess]:
-    """What is granted now, of every grant in force or ending.
-
-    `types` by topic, from the graph; `type_of` is that of the policy, empty: it does not say.
-    """
+    """What is granted now, of every grant in force or ending; `types` are the graph's, by topic."""
     found = []
     for each in held:
         why = f"rule {each.view.rules} of the policy" if each.view.rules else "decided by hand"

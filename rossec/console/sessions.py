@@ -16,7 +16,6 @@ from ca.approvals.passkeys import base64url
 from ca.bounded import Newest
 from rossec import clock
 from rossec.authority.console import messages
-from rossec.authority.console.messages import PhoneView
 from rossec.errors import HttpRefused
 from rossec.net.limits import source_of
 from rossec.peer_limits import SharedTable
@@ -115,26 +114,24 @@ class SessionTable(Generic[_V]):
         return found
 
 
-Phones = Callable[[], Awaitable[tuple[PhoneView, ...]]]
+Phones = Callable[[], Awaitable[tuple[messages.PhoneView, ...]]]
 
 
 class KnownPhones:
-    """The phones of the record, as they were asked for last: a session outlives its phone by at most `KEPT`.
-
-    Where the service does not answer nobody is let in.
-    """
+    """The phones of the record, as asked for last: a session outlives its phone by at most `KEPT`."""
 
     def __init__(self, phones: Phones, elapsed: clock.Seconds | None = None) -> None:
         self._phones = phones
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._asked = float("-inf")
-        self._known: tuple[PhoneView, ...] = ()
+        self._known: tuple[messages.PhoneView, ...] = ()
 
     async def counts(self, session: LoginSession) -> bool:
         is_fresh = self._elapsed() - self._asked < KEPT
         if not session.phone or (is_fresh and self._is_known(session)):
             return True
         asked = self._elapsed()
+        # Where the service does not answer nobody is let in: whoever was removed could be among them.
         self._known = await self._phones()  # also for a phone that was set up just now
         self._asked = asked
         return self._is_known(session)

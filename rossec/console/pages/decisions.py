@@ -19,7 +19,6 @@ from ca.keys.signing import thumbprint
 from ca.names import is_master_name
 from rossec.authority.console.messages import FactView, PolicyRight, QuestionAnswer
 from rossec.console import approvals
-from rossec.console.approvals import certificate_request
 from rossec.console.matrix import held_grants
 from rossec.console.rendering import MAX_BODY, PageList, Visit, from_base64url, go, text_field
 from rossec.console.sentences import Sayable, name_part, permissions, say, topic_part, wanted
@@ -102,7 +101,7 @@ async def show_intermediate(visit: Visit) -> Response:
 async def check_request(visit: Visit) -> Response:
     text = text_field(await visit.form(), "csr", MAX_BODY)
     try:
-        key = check_intermediate_request(certificate_request(text), visit.context.settings.domain)
+        key = check_intermediate_request(approvals.certificate_request(text), visit.context.settings.domain)
     except HintedError as error:
         return visit.show("intermediate.html", 422, csr=text, key=None, problem=error)
     return visit.show("intermediate.html", csr=text, key=thumbprint(key), problem=None)

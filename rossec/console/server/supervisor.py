@@ -22,7 +22,6 @@ from rossec.console.options import ConsoleEndpoint
 from rossec.console.preview.receiver import NAME
 from rossec.console.scanning import frames
 from rossec.console.server import control
-from rossec.console.server.control import WebSettings
 from rossec.enrollment import CLOSER
 from rossec.errors import ConfigurationError, KeyMessageRefused
 from rossec.home import NodeHome
@@ -49,7 +48,7 @@ every newer one, for ever."""
 class WebOptions(NamedTuple):
     """What it serves."""
 
-    settings: WebSettings
+    settings: control.WebSettings
     service: Path  # of the service's socket for the console
     log: str = "text"
 
@@ -81,7 +80,7 @@ async def supervise(
             endpoint.unix_path.unlink(missing_ok=True)
 
 
-def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
+def settings_for(endpoint: ConsoleEndpoint, domain: str) -> control.WebSettings:
     """The web process's settings: on localhost only this user's programs may connect."""
     own, proxies = frozenset({os.geteuid()}), frozenset[int]()
     if endpoint.unix_path is not None:
@@ -92,7 +91,7 @@ def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
             except KeyError:
                 said = f"there is no user {endpoint.proxy_user!a} on this host"
                 raise ConfigurationError(said, "--proxy-user is the user of the proxy") from None
-    return WebSettings(
+    return control.WebSettings(
         domain,
         (endpoint.origin,),
         users=own if endpoint.is_local and not endpoint.unix_path else None,
@@ -196,10 +195,9 @@ class WebProcess:
 
 
 class ScannerSupervisor:
-    """Answers the web process with what the worker that decodes pictures reads, one at a time.
+    """Answers the web process with what the worker that decodes pictures reads, one at a time."""
 
-    A worker that takes too long, breaks the protocol or dies is killed, and the next picture gets a new one.
-    """
+    # A worker that takes too long, breaks the protocol or dies is killed; the next picture gets a new one.
 
     def __init__(
         self,
@@ -231,7 +229,7 @@ class ScannerSupervisor:
             writer.transport.abort()
             self._end()
 
-    async def _read(self, picture: bytes) -> frames.Found | frames.Unreadable:
+    async def _read(self, picture: bytes) -> frames.Answer:
         limit = self._deadline
         try:
             if self._worker is None:

@@ -244,11 +244,9 @@ Install = Callable[[bytes], Awaitable[None]]
 def renewed_from(
     source: CertificateSource, now: Callable[[], int], period: float = PERIOD
 ) -> Callable[[Install], Coroutine[Any, Any, None]]:
-    """A function that installs the first bundle of `source`, then every newer one, for ever.
+    """A function that installs the first bundle of `source`, then every newer one, for ever."""
 
-    It may be run again: a server that was started anew begins with a first bundle.
-    """
-
+    # It may be run again: a server that was started anew begins with a first bundle.
     async def install_all(install: Install) -> None:
         bundle: bytes | None = await asyncio.to_thread(source.first, now())
         while True:
