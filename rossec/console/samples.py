@@ -232,7 +232,8 @@ class PreviewMessage(NamedTuple):
 class PreviewMemory:
     """What was received within the last minute; what is older is dropped, also where nothing new comes."""
 
-    # Publishers choose size and rate of their messages, so every number is bounded.
+    # Publishers choose size and rate of their messages, so every number is bounded. Nothing is kept longer:
+    # a console is no place to learn from what a robot has sent (console-hoard).
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock

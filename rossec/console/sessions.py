@@ -47,6 +47,7 @@ class Sessions:
 
     def __init__(self, lifetime: int, idle: int) -> None:
         self._lifetime, self._idle = lifetime, idle
+        # In shares: whoever may only look ends no session of a phone by beginning many (looker-floods).
         self._sessions: SharedTable[bytes, LoginSession] = SharedTable(MAX_SESSIONS)
 
     def __len__(self) -> int:

@@ -168,6 +168,7 @@ class ServedTopic:
         publisher, rate = self._publisher, self.candidate.rule.options.rate
         if publisher is None or self._stopped:
             raise NodeShutdown(f"{shown(self.candidate.alias)} is served no longer")
+        # Also an own node with every right is not taken for the origin (false-gateway).
         if not is_alias(source.peer):
             raise ConnectionHeaderRefused(f"{source.peer} is no node of the origin")
         if source.latching and rate is not None and not self._thins_here:

@@ -183,6 +183,7 @@ class TopicSources:
 
 def same_type(one: Definition, other: Definition) -> bool:
     """Whether messages of both have the same bytes: the md5sum alone does not say it."""
+    # A publisher states its md5sum, and may send another definition under it (forged-layout).
     if (one.name, one.md5sum) != (other.name, other.md5sum):
         return False
     return one.definition == other.definition or _digest(one) == _digest(other)

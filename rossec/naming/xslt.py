@@ -114,6 +114,7 @@ def _replace(element: Any, default: str) -> None:
     given = _child(choose, "when", {"test": f"normalize-space({path}) != ''"})
     _child(given, "value-of", {"select": f"normalize-space({path})"})
     _child(_child(choose, "otherwise"), "text").text = default
+    # What is wrong with it is told at the line of the short form, which is what its author has written.
     for made in variable.iter():
         made.sourceline = element.sourceline
     variable.tail = element.tail

@@ -219,6 +219,7 @@ async def approve(visit: Visit) -> Response:
     if act is None:
         raise HttpRefused("this was not asked here", "load the page again", status=404)
     outcome = await visit.service.approve(statement, read_assertion(await visit.json()))
+    # After it was used: the service takes a statement once in any case (forged-approval).
     visit.context.pending.pop(statement, session)
     return JSONResponse({"next": approvals.carried_out(visit.context, act, outcome, session)})
 

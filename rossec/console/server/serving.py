@@ -82,7 +82,7 @@ class ConnectionShares:
 
     # A connection takes one when it is accepted, before TLS begins, and keeps it until it is closed. Where
     # all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a session
-    # was shown moves to the places of sessions: strangers end none of those.
+    # was shown moves to the places of sessions: strangers end none of those (console-connections).
 
     def __init__(self) -> None:
         self._strangers = HalfOpenCount(STRANGERS)
@@ -175,6 +175,7 @@ class ConsoleServer:
             interface="asgi3",
             log_config=None,  # and no access log: a path can name a robot
             access_log=False,
+            # Anybody can send `X-Forwarded-For`: an address is what the kernel says, or none.
             proxy_headers=False,
             server_header=False,
             timeout_keep_alive=KEEP_ALIVE,

@@ -121,6 +121,7 @@ def handing_out(
 async def serve(
     listening: list[socket.socket], origin: str, seconds: float, data: bytes, until: BinaryIO
 ) -> None:
+    # Not by the host's clock, which can be set: it would hand out for longer, or not at all.
     end = time.monotonic() + seconds
     server = ConsoleServer(create_hand_out(data, origin, lambda: time.monotonic() > end))
     reader = asyncio.StreamReader()
