@@ -100,7 +100,7 @@ def test_it_says_ending_until_every_node_has_heard() -> None:
     away = page()
     away.home.refusals["graph"] = KeyServiceRefused("no master answers")
     assert 'class="is-ending"' in away.get("/").text
-    assert away.asked("trust_status") == [], "the page does not wait twice for a master that is away"
+    assert away.asked("trust-status") == [], "the page does not wait twice for a master that is away"
     made.home.refusals["graph"] = KeyServiceRefused("no master answers")
     assert 'class="is-ended"' in made.get("/").text, "it was heard before"
     told = page()
