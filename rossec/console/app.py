@@ -23,7 +23,7 @@ from rossec.console import rendering
 from rossec.console.context import ConsoleContext
 from rossec.console.pages import adding, decisions, passkeys, today, visibility
 from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, Visit, for_looking
-from rossec.console.server import PLACE, check_peer
+from rossec.console.server import PLACE, WebSettings, check_peer
 from rossec.console.sessions import COOKIE, LoginSession, owner_of
 from rossec.console.words import Names
 from rossec.errors import HttpRefused, KeyServiceFailed, PeerUserRefused
@@ -83,11 +83,6 @@ class GuardRule(NamedTuple):
     hint: str
 
 
-class Allowed(NamedTuple):
-    hosts: frozenset[str]
-    origins: tuple[str, ...]
-
-
 # In this order. The host first: a name that was rebound to this address (DNS) learns not even which pages
 # there are. The origin before the session: a form of another site is refused whoever is logged in.
 RULES: Final = (
@@ -101,7 +96,7 @@ RULES: Final = (
 _NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
 
 
-def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
+def broken_rule(facts: Facts, allowed: WebSettings, match: Match | None) -> GuardRule | None:
     page = None if match is None else match.page
     # Of two headers a proxy and this program might each believe another one: exactly one counts. The site is
     # asked besides the origin, since browsers count another port of localhost as the same site
@@ -124,16 +119,9 @@ def wants_json(headers: Mapping[str, str]) -> bool:
 
 
 class RequestGuard:
-    def __init__(
-        self,
-        app: ASGIApp,
-        context: ConsoleContext,
-        pages: Iterable[Page],
-        refuse: Callable[[Request, HintedError], Response],
-    ) -> None:
-        self._app, self._context, self._refuse = app, context, refuse
+    def __init__(self, app: ASGIApp, context: ConsoleContext, pages: Iterable[Page]) -> None:
+        self._app, self._context = app, context
         self._table = PageTable(pages)
-        self._allowed = Allowed(context.settings.hosts, context.settings.origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -164,7 +152,7 @@ class RequestGuard:
         request = Request(scope)
         session = self._session(request.headers)
         match = self._table.find(scope["path"], scope["method"])
-        rule = broken_rule(facts_of(scope, has_session=session is not None), self._allowed, match)
+        rule = broken_rule(facts_of(scope, has_session=session is not None), self._context.settings, match)
         if rule is not None:
             await self._answer(rule, match, request)(scope, receive, send)
             return
@@ -212,15 +200,16 @@ class RequestGuard:
             response = RedirectResponse("/login", SEE_OTHER)
         else:
             status = 401 if rule.status == SEE_OTHER else rule.status
-            response = self._refuse(request, HttpRefused(rule.message, rule.hint, status=status))
+            response = show_error(request, self._context, HttpRefused(rule.message, rule.hint, status=status))
         if rule.name == "method" and match is not None:
             response.headers["Allow"] = ", ".join(sorted(match.methods))
-        if has_body(request.headers):
-            response.headers["Connection"] = "close"  # it is not read
+        # RFC 9112 section 6: a request has a body by one of these; it is not read.
+        if request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers:
+            response.headers["Connection"] = "close"
         return response
 
     async def _end(self, scope: Scope, receive: Receive, send: Send, error: HintedError) -> None:
-        response = self._refuse(Request(scope), error)
+        response = show_error(Request(scope), self._context, error)
         response.headers["Connection"] = "close"
         await response(scope, receive, send)
 
@@ -241,11 +230,6 @@ def is_by_person(headers: Mapping[str, str]) -> bool:
     if "sec-fetch-mode" not in headers or headers.get("sec-fetch-user") == "?1":
         return True
     return headers.get("content-type") is not None  # a form or an approval
-
-
-def has_body(headers: Mapping[str, str]) -> bool:
-    # RFC 9112 section 6
-    return headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
 
 
 def facts_of(scope: Scope, *, has_session: bool) -> Facts:
@@ -312,7 +296,7 @@ def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASG
         return answer
 
     app = Starlette(routes=[Route(page.path, endpoint(page), methods=page.methods) for page in pages])
-    return RequestGuard(app, context, pages, lambda request, error: show_error(request, context, error))
+    return RequestGuard(app, context, pages)
 
 
 def status_of(error: HintedError) -> int:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
+from ca.approvals.passkeys import base64url
 from ca.encoding import Value
 from ca.names import check_name, check_pattern, check_wildcard, is_master_name
 from ca.svid import MAX_REQUEST
@@ -32,7 +33,6 @@ from rossec.console.enrollments import Enrollment
 from rossec.console.matrix import Cell, TopicAccess
 from rossec.console.pictures import looks as pictures
 from rossec.console.pictures.place import has_place
-from rossec.console.samples import Preview
 from rossec.console.sentences import Sayable, SentencePart, name_part, say, topic_part, wanted
 from rossec.console.sessions import SessionTable
 from rossec.errors import FormRefused
@@ -68,6 +68,7 @@ _PEM: Final = re.compile(
 _RELOAD: Final = "load the page anew, and decide again"
 
 Form = Mapping[str, str]
+_Ways = Sequence[tuple[str, Sequence[AskedRight]]]  # what is asked for, by the filter it would pass
 
 
 class ProposedAct(NamedTuple):
@@ -101,8 +102,6 @@ class ApprovalSources(Protocol):
 
 
 Reader = Callable[[ApprovalSources, Form], Awaitable[ProposedAct]]
-
-
 READERS: Final[dict[str, tuple[tuple[frozenset[str], ...], Reader]]] = {}
 """By kind: the fields that its forms may have, and what makes an act of them."""
 
@@ -131,7 +130,7 @@ def carried_out(sources: ApprovalSources, act: ProposedAct, outcome: ApprovalOut
         sources.enrollments.approved(act.subject, outcome)
     if act.kind == "invitation":
         sources.made_codes.add(outcome.id, session, True, "")  # the oldest makes room
-    return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
+    return act.next.format(id=base64url(outcome.id))
 
 
 @_reads("enroll", {"enrollment"}, {"enrollment", "name"}, {"request"}, {"request", "name"})
@@ -274,16 +273,11 @@ def _choice(form: Form, field: str, choices: Mapping[str, int]) -> int:
 
 
 class ApprovalWay(NamedTuple):
-    """A way to approve: through the filter `coarse` (empty: none); one line for each right.
-
-    `exact` is what each line leaves out; `is_narrowest`: no other way shows less.
-    """
-
-    coarse: str
+    coarse: str  # the filter; empty: none
     label: str
-    lines: tuple[Sayable, ...]
-    exact: tuple[str, ...]
-    is_narrowest: bool
+    lines: tuple[Sayable, ...]  # one for each right
+    exact: tuple[str, ...]  # what each line leaves out
+    is_narrowest: bool  # no other way shows less
 
 
 class OfferedDuration(NamedTuple):
@@ -294,11 +288,9 @@ class OfferedDuration(NamedTuple):
 
 
 class Looks(NamedTuple):
-    """The pictures of one topic, by the filter through which the node would see it."""
-
     topic: str
     is_made_up: bool
-    pictures: tuple[tuple[str, pictures.Look], ...]
+    pictures: tuple[tuple[str, pictures.Look], ...]  # by the filter through which the node would see it
     minutes: int = 1
 
 
@@ -323,19 +315,21 @@ def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> Sayable:
     return say(*parts)
 
 
-def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> list[ApprovalWay]:
-    """What the node would get, in words; the narrowest first, as it asks last.
-
-    Of more than `most` those that show least, and what it asks for.
-    """
+def ways(given: _Ways, most: int = 6) -> list[ApprovalWay]:
+    """What the node would get, in words; the narrowest first, as it asks last."""
+    # Of more than `most` those that show least, and what it asks for.
     narrow = sorted(given, key=lambda each: strictness(each[1]), reverse=True)
     shown = [*[each for each in narrow if each[0]][: most - 1], *(each for each in given if not each[0])]
     found = []
     for coarse, rights in shown:
         title = LABELS.get(coarse, f"Coarser: {printable(coarse, 80)}")
-        exact = tuple(filter(None, (words.restrictions(_restrictions(right)) for right in rights)))
-        lines = tuple(_line(right) for right in rights)
-        found.append(ApprovalWay(coarse, title, lines, exact, coarse == narrow[0][0]))
+        exact, lines = list[str](), list[Sayable]()
+        for right in rights:
+            restrictions = _restrictions(right)
+            exact += filter(None, [words.restrictions(restrictions)])
+            said = words.plain(restrictions) or "all of it"
+            lines.append(say(wanted(right.right), topic_part(right.pattern), f"({said})"))
+        found.append(ApprovalWay(coarse, title, tuple(lines), tuple(exact), coarse == narrow[0][0]))
     return found
 
 
@@ -375,13 +369,8 @@ def why_no_coarser(question: GrantQuestion) -> str:
     return f"No filter of the policy, and none of rossec's own, fits messages of {right.type}."
 
 
-def looks(
-    node: str, ways: Sequence[tuple[str, Sequence[AskedRight]]], preview: Preview | None = None
-) -> list[Looks]:
-    """What the node would see, of topics whose messages can be drawn.
-
-    Of real messages where `preview` has some, else of made-up ones.
-    """
+def looks(node: str, ways: _Ways, preview: samples.Preview | None = None) -> list[Looks]:
+    """What the node would see, of topics whose messages can be drawn."""
     seen = [
         each for each in ways[0][1] if each.right == Right.SUBSCRIBE and each.type and "*" not in each.pattern
     ]
@@ -407,14 +396,8 @@ def answer(given: QuestionAnswer) -> Sayable:
 
 
 def drives(right: AskedRight) -> bool:
-    name = right.pattern.rpartition("/")[2]
-    is_driving = right.type in DRIVING or name.endswith("cmd_vel")
+    is_driving = right.type in DRIVING or right.pattern.endswith("cmd_vel")
     return right.right == Right.PUBLISH and is_driving
-
-
-def _line(right: AskedRight) -> Sayable:
-    said = words.plain(_restrictions(right)) or "all of it"
-    return say(wanted(right.right), topic_part(right.pattern), f"({said})")
 
 
 def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:
@@ -422,12 +405,9 @@ def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:
     return tuple(each.restriction for each in permissions if each.restriction is not None)
 
 
-def _looks(
-    node: str, right: AskedRight, ways: Sequence[tuple[str, Sequence[AskedRight]]], preview: Preview | None
-) -> Looks | None:
-    recorded = None if preview is None else preview.recorded(right.pattern)
+def _looks(node: str, right: AskedRight, ways: _Ways, preview: samples.Preview | None) -> Looks | None:
     applied = [each for _, rights in ways for one in rights for each in _restrictions(one)]
-    recorded = recorded or samples.recorded(right.pattern, right.type, applied)
+    recorded = samples.recorded(right.pattern, right.type, applied, preview)
     if recorded is None:
         return None
     drawn: list[tuple[str, pictures.Look]] = []

@@ -138,7 +138,8 @@ class ConsoleContext:
         self.phones = KnownPhones(service.phones)
         self.news = NewsFeed(service.status)
         self.failures = FailureLimit()
-        # Acts that are shown to a phone, not approved yet; approvals of join codes, not shown yet.
+        # Acts that are shown to a phone, not approved yet; approvals of join codes, not shown yet. Both are
+        # bounded, in shares by who fills them (looker-floods).
         self.pending: SessionTable[ProposedAct] = SessionTable(MAX_PENDING)
         self.made_codes: SessionTable[bool] = SessionTable(MAX_CODES)
         self.turns = LoginTurns()

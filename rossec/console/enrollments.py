@@ -18,7 +18,6 @@ from ca.enrollment import NONCE_SIZE, WINDOW, qr
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import CodeRefused, EnrollmentExpired, EnrollmentOver, HintedError, RequestSwapped
 from rossec.authority.console import messages
-from rossec.authority.console.messages import ApprovalOutcome, IdentityRequestView, NodeView
 from rossec.enrollment import deliver, fetch
 from rossec.errors import KeyServiceFailed, RossecError
 from rossec.host import addresses
@@ -61,15 +60,15 @@ class Destination(NamedTuple):
 
 
 class EnrollmentService(Protocol):
-    async def nodes(self) -> tuple[NodeView, ...]: ...
+    async def nodes(self) -> tuple[messages.NodeView, ...]: ...
 
-    async def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
+    async def identity_requests(self) -> tuple[messages.IdentityRequestView, ...]: ...
 
     async def deny_request(self, request: bytes, reason: str) -> None: ...
 
     async def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...
 
-    async def outcome(self, statement: bytes, /) -> ApprovalOutcome: ...
+    async def outcome(self, statement: bytes, /) -> messages.ApprovalOutcome: ...
 
 
 class Enrollment:
@@ -86,8 +85,7 @@ class Enrollment:
         self.known = RecordedName.NEW  # of meaning from COMPARED on
         self.error: HintedError | None = None
         self._destination, self._service = destination, service
-        self._clock, self._changed = clock, changed
-        self._begun = clock()
+        self._clock, self._changed, self._begun = clock, changed, clock()
 
     @property
     def is_over(self) -> bool:
@@ -137,10 +135,10 @@ class Enrollment:
         except HintedError as error:
             self.fail(error)
 
-    def approve(self, outcome: ApprovalOutcome) -> None:
+    def approve(self, outcome: messages.ApprovalOutcome) -> None:
         self._move(Stage.WAITING if outcome.state == WAITING else Stage.DELIVERING)
 
-    async def deliver(self, outcome: ApprovalOutcome) -> None:
+    async def deliver(self, outcome: messages.ApprovalOutcome) -> None:
         try:
             self.core.approve(self._clock())
             # Nothing is signed here: an approval is the service's, which returns the identity.
@@ -191,7 +189,7 @@ class Enrollment:
         self.error = error.bare()
         self._move(Stage.SWAPPED if isinstance(error, RequestSwapped) else Stage.FAILED)
 
-    async def _signed(self, outcome: ApprovalOutcome) -> bytes:
+    async def _signed(self, outcome: messages.ApprovalOutcome) -> bytes:
         while outcome.state == WAITING:
             self._end_if_late()
             await asyncio.sleep(POLL)
@@ -239,11 +237,7 @@ class Enrollments:
     # nothing that was approved makes room.
 
     def __init__(
-        self,
-        service: EnrollmentService,
-        domain: str,
-        clock: Callable[[], int],
-        changed: Callable[[], None] = lambda: None,
+        self, service: EnrollmentService, domain: str, clock: Callable[[], int], changed: Callable[[], None]
     ) -> None:
         self._service, self._domain = service, domain
         self._clock, self._changed = clock, changed
@@ -296,16 +290,12 @@ class Enrollments:
     def get(self, number: str) -> Enrollment:
         return self._place(number).found
 
-    def approved(self, number: str, outcome: ApprovalOutcome) -> None:
+    def approved(self, number: str, outcome: messages.ApprovalOutcome) -> None:
         place = self._place(number)
         if place.found.stage is Stage.COMPARED:
             place.found.approve(outcome)
             self._running.add(number, place, place.owner, _APPROVED)
             self._spawn(place, partial(place.found.deliver, outcome))
-
-    async def reject(self, number: str) -> None:
-        # A person has rejected the request: nothing is signed, and the record says so.
-        await self.get(number).reject()
 
     async def differ(self, number: str) -> None:
         place = self._place(number)

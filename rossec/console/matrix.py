@@ -31,13 +31,8 @@ STALE: Final = 300  # seconds after which no node without a session goes on, wit
 
 
 class Heard(NamedTuple):
-    """Every node has what was ended before these times.
-
-    `cut`: no connection that ends with a stale list is left of what was ended before this one.
-    """
-
-    all: int = 0
-    cut: int = 0
+    all: int = 0  # every node has what was ended before this time
+    cut: int = 0  # no connection that ends with a stale list is left of what was ended before this one
 
     def has(self, ended_at: int, *, keeps: bool) -> bool:
         return ended_at < (self.all if keeps else max(self.all, self.cut))
@@ -76,16 +71,11 @@ SEEING: Final = frozenset({TopicAccess.ALL, TopicAccess.COARSE, TopicAccess.ENDI
 
 
 class ShownGrant(NamedTuple):
-    """A grant and whether it is in force: `ended_at` is 0 if it is, `reason` why it is not.
-
-    `is_ending`: it was revoked, and somebody may not have heard of that: it may still be used.
-    """
-
     view: GrantView
     grant: Grant
-    ended_at: int
-    reason: str
-    is_ending: bool = False
+    ended_at: int  # 0: it is in force
+    reason: str  # why it is not
+    is_ending: bool = False  # revoked, but somebody may not have heard of that: it may still be used
 
     @property
     def is_over(self) -> bool:
@@ -93,21 +83,14 @@ class ShownGrant(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """What one receiver sees of one topic.
-
-    `words` is how (filters, conditions) or why it ended, `term` how long or since when; `grants`
-    are ids, the one to show first; `restrictions` those of the widest grant; `sends`: the receiver
-    is itself a publisher of the topic.
-    """
-
     receiver: str
     topic: str
     access: TopicAccess
-    words: str = ""
-    term: str = ""
-    grants: tuple[bytes, ...] = ()
-    restrictions: tuple[Restriction, ...] = ()
-    sends: bool = False
+    words: str = ""  # how it sees it (filters, conditions), or why that ended
+    term: str = ""  # how long, or since when
+    grants: tuple[bytes, ...] = ()  # ids, the one to show first
+    restrictions: tuple[Restriction, ...] = ()  # of the widest grant
+    sends: bool = False  # the receiver is itself a publisher of the topic
 
     @property
     def label(self) -> str:
@@ -134,8 +117,6 @@ class TopicRow(NamedTuple):
 
 
 class Matrix(NamedTuple):
-    """The whole matrix; receivers and rows are sorted by name."""
-
     receivers: tuple[str, ...]
     rows: tuple[TopicRow, ...]
 
@@ -161,7 +142,7 @@ class Matrix(NamedTuple):
 def held_grants(
     nodes: Iterable[NodeView], grants: Iterable[GrantView], now: int, heard: Heard
 ) -> tuple[ShownGrant, ...]:
-    """Every grant with its end, newest first; `heard`: what every node knows to have ended."""
+    """Every grant with its end, newest first."""
     keys = {node.key: node for node in nodes}
     found = [_held(view, peek(view.data), keys, now, heard) for view in grants]
     return tuple(sorted(found, key=lambda held: (-held.view.at, held.view.id)))
@@ -189,10 +170,8 @@ def build(
     now: int,
     type_of: Callable[[str], str] = lambda _: "",
 ) -> Matrix:
-    """The matrix of all topics that a grant or the graph names, and all nodes with a grant to see.
-
-    `type_of` is the type of a topic by the policy, where neither of these says it; empty: no word.
-    """
+    """The matrix of all topics that a grant or the graph names, and all nodes with a grant to see."""
+    # The type of a topic by the policy (`type_of`) counts where neither of these says it.
     types = {fact.name: fact.node for fact in facts if fact.kind == "type"}
     topics = sorted(_topics(held, facts), key=lambda topic: (_is_pattern(topic), topic))
     sees = [each for each in held if any(Right.SUBSCRIBE in one.rights for one in each.grant.permissions)]
@@ -312,23 +291,22 @@ class ReportGroup(NamedTuple):
     sees: str = ""
 
 
+_Treated = tuple[str, tuple[ReportFields, ...], str]  # the rest of a group
+
+
 class ReportTopic(NamedTuple):
     topic: str
     type: str
     groups: tuple[ReportGroup, ...]
 
 
-def everything(_receiver: str, _field: str) -> bool:
-    return True
-
-
 def topics(
     accesses: Iterable[ReceiverAccess],
     layout_of: Callable[[str], Layout],
-    wanted: Wanted = everything,
+    wanted: Wanted = lambda _receiver, _field: True,
     vocabulary: Vocabulary | None = None,
 ) -> list[ReportTopic]:
-    by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
+    by_topic: dict[tuple[str, str], dict[_Treated, list[ReportReceiver]]] = {}
     for access in sorted(_typed(accesses), key=lambda each: (each.topic, each.receiver, each.by)):
         fields = _fields(access, layout_of, wanted)
         if fields:
@@ -339,12 +317,8 @@ def topics(
                 said = "" if access.type is None else sees(access, layout_of(access.type), vocabulary)
             groups.setdefault((_when(access), fields, said), []).append(receiver)
     return [
-        ReportTopic(
-            topic,
-            kind,
-            tuple(ReportGroup(tuple(who), *key) for key, who in groups.items()),  # type: ignore[arg-type]
-        )
-        for (topic, kind), groups in by_topic.items()
+        ReportTopic(*named, tuple(ReportGroup(tuple(who), *key) for key, who in groups.items()))
+        for named, groups in by_topic.items()
     ]
 
 
@@ -361,10 +335,7 @@ def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
 def held_accesses(
     held: Iterable[ShownGrant], types: Mapping[str, str], type_of: Callable[[str], str] = lambda _: ""
 ) -> list[ReceiverAccess]:
-    """What is granted now, of every grant in force or ending.
-
-    `types` by topic, from the graph; `type_of` is that of the policy, empty: it does not say.
-    """
+    """What is granted now, of every grant in force or ending; `types` are the graph's, by topic."""
     found = []
     for each in held:
         why = f"rule {each.view.rules} of the policy" if each.view.rules else "decided by hand"
@@ -413,9 +384,8 @@ def _paths(kind: str | None, layout_of: Callable[[str], Layout], rules: list[Fil
 
 
 def _treatment(rules: list[FilterRule], kind: str | None) -> str:
-    said = [
-        REMOVED if rule.operator in ("clear", "drop") else words.filter_rule(rule, kind) for rule in rules
-    ]
+    gone = ("clear", "drop")
+    said = [REMOVED if rule.operator in gone else words.filter_rule(rule, kind) for rule in rules]
     return ", then ".join(dict.fromkeys(said)) or AS_IT_IS
 
 

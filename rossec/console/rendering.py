@@ -22,6 +22,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import compile_path
 
+from ca.approvals.passkeys import base64url
 from rossec.console.context import ConsoleContext
 from rossec.console.sessions import LoginSession, owner_of
 from rossec.console.words import NONE, Names, ago, day, topic
@@ -43,30 +44,22 @@ SESSION: Final = PageAccess.SESSION
 
 
 class Page(NamedTuple):
-    """A path (as starlette writes it), the methods it has, and what answers them.
-
-    `looks` marks what a console that only shows has beside pages to read: logging in and out.
-    """
-
-    path: str
+    path: str  # as starlette writes it
     methods: tuple[str, ...]
     handler: Handler
     access: PageAccess = SESSION  # unless it says otherwise: none is public by mistake
     max_body: int = MAX_BODY
-    looks: bool = False
+    looks: bool = False  # a console that only shows has it, too: logging in and out
 
 
 class PageList(list[Page]):
     """The pages of a module: each is written above the function that answers."""
 
     def get(self, path: str, access: PageAccess = SESSION) -> Callable[[Handler], Handler]:
-        return self._added(path, "GET", access)
+        return self.post(path, access, method="GET")
 
-    def post(self, path: str, access: PageAccess = SESSION, **options: Any) -> Callable[[Handler], Handler]:
-        return self._added(path, "POST", access, **options)
-
-    def _added(
-        self, path: str, method: str, access: PageAccess, **options: Any
+    def post(
+        self, path: str, access: PageAccess = SESSION, method: str = "POST", **options: Any
     ) -> Callable[[Handler], Handler]:
         def add(handler: Handler) -> Handler:
             self.append(Page(path, (method,), handler, access, **options))
@@ -82,10 +75,8 @@ def for_looking(pages: Iterable[Page]) -> tuple[Page, ...]:
 
 
 class Match(NamedTuple):
-    """The page of a path and method (None: the method is wrong), and the methods of the path."""
-
-    page: Page | None
-    methods: frozenset[str]
+    page: Page | None  # None: the method is wrong
+    methods: frozenset[str]  # of the path
 
 
 class PageTable:
@@ -126,13 +117,9 @@ def from_base64url(text: str) -> bytes:
         data = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
     except (binascii.Error, ValueError) as error:
         raise HttpRefused("bytes that are not base64url", _HINT) from error
-    if not data or to_base64url(data) != text:
+    if not data or base64url(data) != text:
         raise HttpRefused("bytes that are not base64url", _HINT)
     return data
-
-
-def to_base64url(data: bytes) -> str:
-    return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -304,7 +291,7 @@ def environment() -> Environment:
     # Texts of nodes go through `printable` before they are escaped, so that none turns the direction of the
     # line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
     made.globals["asset"] = asset_path
-    made.filters |= {"printable": printable, "hex": bytes.hex, "base64url": to_base64url, "day": day}
+    made.filters |= {"printable": printable, "hex": bytes.hex, "base64url": base64url, "day": day}
     made.filters["title"] = _title
     made.filters["titled"] = lambda name: f"{_title(name)} {printable(name)}".strip()
     made.filters |= {"ago": ago, "address": quote, "topic": topic}  # of a name of ROS the slashes stay

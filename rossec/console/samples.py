@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -30,11 +30,9 @@ _NEVER: Final = 1 << 52
 
 
 class Recorded(NamedTuple):
-    """The last messages of a topic, oldest first: time and serialized bytes of each."""
-
     topic: str
     type: str
-    messages: tuple[tuple[float, bytes], ...]
+    messages: tuple[tuple[float, bytes], ...]  # the last, oldest first: time and serialized bytes
     is_made_up: bool = False
 
 
@@ -44,14 +42,12 @@ class SyntheticSample(NamedTuple):
 
 
 class SeenTopic(NamedTuple):
-    """What one receiver saw, of `sent` messages; `is_made_up` if nobody really sent them."""
-
     receiver: str
     topic: str
     type: str
-    sent: int
+    sent: int  # messages, of which the receiver saw `samples`
     samples: tuple[SyntheticSample, ...]
-    is_made_up: bool = False
+    is_made_up: bool = False  # nobody really sent them
 
 
 class Preview(Protocol):
@@ -105,7 +101,13 @@ _WIDTH, _HEIGHT = 160, 120
 _PER_SECOND: Final = 4
 
 
-def recorded(topic: str, type_name: str, restrictions: Iterable[Restriction] = ()) -> Recorded | None:
+def recorded(
+    topic: str, type_name: str, restrictions: Iterable[Restriction] = (), preview: Preview | None = None
+) -> Recorded | None:
+    """Real messages where `preview` has some, else made-up ones; None: the type is not known here."""
+    real = None if preview is None else preview.recorded(topic)
+    if real is not None:
+        return real
     in_slots = any(each.slot is not None for each in restrictions)
     is_long = in_slots and type_name not in _RARE  # of these only the last is drawn
     try:
@@ -230,7 +232,8 @@ class PreviewMessage(NamedTuple):
 class PreviewMemory:
     """What was received within the last minute; what is older is dropped, also where nothing new comes."""
 
-    # Publishers choose size and rate of their messages, so every number is bounded.
+    # Publishers choose size and rate of their messages, so every number is bounded. Nothing is kept longer:
+    # a console is no place to learn from what a robot has sent (console-hoard).
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -281,8 +284,7 @@ def write_preview(message: PreviewMessage) -> bytes:
     return frame([message.topic, message.type, int(message.at * 1000), message.data])
 
 
-def preview_size(head: bytes) -> int:
-    return frame_size(head, MAX_FRAME)
+preview_size: Final = partial(frame_size, limit=MAX_FRAME)
 
 
 def read_preview(body: bytes) -> PreviewMessage:
@@ -293,5 +295,4 @@ def read_preview(body: bytes) -> PreviewMessage:
     match value:
         case [str(topic), str(kind), int(at), bytes(data)] if not isinstance(at, bool) and at >= 0:
             return PreviewMessage(topic, kind, at / 1000, data)
-        case _:
-            raise KeyMessageRefused("a message of the preview that is malformed")
+    raise KeyMessageRefused("a message of the preview that is malformed")

@@ -14,10 +14,8 @@ from rossec.peer_limits import printable
 
 
 class SentencePart(NamedTuple):
-    """A piece of a sentence; a name is one of ROS, shown as such."""
-
     text: str
-    is_name: bool = False
+    is_name: bool = False  # one of ROS, shown as such
 
     @property
     def is_glued(self) -> bool:
@@ -45,17 +43,12 @@ def topic_part(pattern: str) -> SentencePart:
 
 
 class Sentence(NamedTuple):
-    """One thing that happened; `tone` is `joined`, `allowed`, `ended`, `refused`, `asked`, `note`.
-
-    `number` is that of the log entry, -1 of a denial; `node` is whom it is about, if it is one.
-    """
-
     at: int
-    tone: str
+    tone: str  # `joined`, `allowed`, `ended`, `refused`, `asked`, `note`
     verb: str
     parts: tuple[SentencePart, ...]
-    number: int
-    node: str
+    number: int  # of the log entry; -1: a denial
+    node: str  # whom it is about, if it is one
 
     @property
     def text(self) -> str:
@@ -63,15 +56,12 @@ class Sentence(NamedTuple):
 
 
 class KnownIds(NamedTuple):
-    """What the ids in log entries mean: grants by id, nodes by key, questions by id, all in hex.
-
-    `ending`: ids of what was ended and may still be used.
-    """
+    """What the ids in log entries mean, all in hex."""
 
     grants: Mapping[str, Grant]
-    nodes: Mapping[str, str]
+    nodes: Mapping[str, str]  # by key
     questions: Mapping[str, tuple[GrantQuestion, ...]]
-    ending: frozenset[str] = frozenset()
+    ending: frozenset[str] = frozenset()  # what was ended and may still be used
 
     @classmethod
     def of(

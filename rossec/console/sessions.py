@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final, Generic, TypeVar
 
+from ca.approvals.passkeys import base64url
 from ca.bounded import Newest
 from rossec import clock
 from rossec.authority.console import messages
-from rossec.authority.console.messages import PhoneView
 from rossec.errors import HttpRefused
 from rossec.net.limits import source_of
 from rossec.peer_limits import SharedTable
@@ -34,18 +34,12 @@ _TEXT_SIZE: Final = 43  # of 32 bytes as base64url
 
 @dataclass
 class LoginSession:
-    """A login. `phone`: the passkey's name; empty: by a code, to look.
-
-    `passkey` is its credential id, as soon as that is known (`known_phones`). `seen` is the number
-    of the last log entry that it was shown; None: none yet.
-    """
-
     id: bytes
-    phone: str
+    phone: str  # the passkey's name; empty: by a code, to look
     began: float
     used: float
-    seen: int | None = None
-    passkey: bytes = b""
+    seen: int | None = None  # the number of the last log entry that it was shown; None: none yet
+    passkey: bytes = b""  # its credential id, as soon as that is known (`KnownPhones`)
 
 
 class Sessions:
@@ -53,6 +47,7 @@ class Sessions:
 
     def __init__(self, lifetime: int, idle: int) -> None:
         self._lifetime, self._idle = lifetime, idle
+        # In shares: whoever may only look ends no session of a phone by beginning many (looker-floods).
         self._sessions: SharedTable[bytes, LoginSession] = SharedTable(MAX_SESSIONS)
 
     def __len__(self) -> int:
@@ -65,7 +60,7 @@ class Sessions:
         owner = messages.of_phone(phone) if phone else messages.LOOKER
         if self._sessions.add(session.id, session, owner, messages.rank(owner)) is None:
             raise HttpRefused("too many are logged in", "log out elsewhere, or use a phone", status=429)
-        return base64.urlsafe_b64encode(secret).rstrip(b"=").decode()
+        return base64url(secret)
 
     def find(self, cookie: str, now: float) -> LoginSession | None:
         if len(cookie) != _TEXT_SIZE or not cookie.isascii():
@@ -120,26 +115,24 @@ class SessionTable(Generic[_V]):
         return found
 
 
-Phones = Callable[[], Awaitable[tuple[PhoneView, ...]]]
+Phones = Callable[[], Awaitable[tuple[messages.PhoneView, ...]]]
 
 
 class KnownPhones:
-    """The phones of the record, as they were asked for last: a session outlives its phone by at most `KEPT`.
-
-    Where the service does not answer nobody is let in.
-    """
+    """The phones of the record, as asked for last: a session outlives its phone by at most `KEPT`."""
 
     def __init__(self, phones: Phones, elapsed: clock.Seconds | None = None) -> None:
         self._phones = phones
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._asked = float("-inf")
-        self._known: tuple[PhoneView, ...] = ()
+        self._known: tuple[messages.PhoneView, ...] = ()
 
     async def counts(self, session: LoginSession) -> bool:
         is_fresh = self._elapsed() - self._asked < KEPT
         if not session.phone or (is_fresh and self._is_known(session)):
             return True
         asked = self._elapsed()
+        # Where the service does not answer nobody is let in: whoever was removed could be among them.
         self._known = await self._phones()  # also for a phone that was set up just now
         self._asked = asked
         return self._is_known(session)

@@ -240,10 +240,8 @@ def condition(text: str, type_name: str | None = None) -> str:
 
 
 def restrictions(given: Iterable[Restriction]) -> str:
-    """Everything that applies together: `position to 2 m, without direction`; else empty.
-
-    Where a level of the vocabulary holds, it is said first: `where it is: the room (position ...)`.
-    """
+    """Everything that applies together: `position to 2 m, without direction`; else empty."""
+    # Where a level of the vocabulary holds, it is said first: `where it is: the room (position ...)`.
     together = list(given)
     parts = ", ".join(dict.fromkeys(part for each in together for part in restriction(each)))
     said = levels(together)

@@ -23,7 +23,6 @@ from rossec.gateway.rules import (
     BATCH,
     MAX_TOPICS,
     Action,
-    GatewayPhase,
     Observed,
     SourceCandidate,
     Thinning,
@@ -79,21 +78,13 @@ class ServedTopic:
         self.problem = ""  # why nothing comes
         self.messages = self.octets = 0  # that were forwarded
         self.registered_at: float | None = None  # by the monotonic clock
-        self._topics, self._state, self._sources = topics, TopicState(), TopicSources()
+        self.state, self.sources, self._topics = TopicState(), TopicSources(), topics
         self._thinned: dict[RawSource, Thinning] = {}
         self._publisher: RawPublisher | None = None
         self._subscription: GatewaySubscription | None = None
         self._options = candidate.rule.options
         self._thins_here = self._subscribes_again = self._stopped = False
         self._wake = asyncio.Event()
-
-    @property
-    def phase(self) -> GatewayPhase:
-        return self._state.phase
-
-    @property
-    def sources(self) -> int:
-        return len(self._sources)
 
     @property
     def subscribers(self) -> int:
@@ -127,7 +118,7 @@ class ServedTopic:
             if self._subscription is not None:
                 await self._leave()
                 await self._subscribe()
-        action = self._state.step(now, wanted=publisher.demand > 0)
+        action = self.state.step(now, wanted=publisher.demand > 0)
         if action is Action.SUBSCRIBE:
             await self._subscribe()
         elif action is Action.LEAVE:
@@ -135,7 +126,7 @@ class ServedTopic:
         else:
             for source, thinning in self._thinned.items():
                 self._forward(publisher, source, thinning.release(now))
-            dues = (self._state.due, *(each.due for each in self._thinned.values()))
+            dues = (self.state.due, *(each.due for each in self._thinned.values()))
             due = min((each for each in dues if each is not None), default=None)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None if due is None else max(0.0, due - now)):
@@ -148,7 +139,7 @@ class ServedTopic:
             )
         except REFUSALS as error:
             self._note(error)
-            self._state.failed(monotonic())
+            self.state.failed(monotonic())
             await self._leave()
 
     async def _leave(self) -> None:
@@ -177,6 +168,7 @@ class ServedTopic:
         publisher, rate = self._publisher, self.candidate.rule.options.rate
         if publisher is None or self._stopped:
             raise NodeShutdown(f"{shown(self.candidate.alias)} is served no longer")
+        # Also an own node with every right is not taken for the origin (false-gateway).
         if not is_alias(source.peer):
             raise ConnectionHeaderRefused(f"{source.peer} is no node of the origin")
         if source.latching and rate is not None and not self._thins_here:
@@ -187,7 +179,7 @@ class ServedTopic:
             self._wake.set()
             raise ConnectionHeaderRefused("the topic is latched: asked again, without a rate")
         try:
-            is_first = self._sources.connect(source)
+            is_first = self.sources.connect(source)
         except TypeChanged as error:
             self._note(error)
             self.stop()
@@ -196,9 +188,9 @@ class ServedTopic:
             self._thinned[source] = Thinning(rate)
         if is_first:
             publisher.describe(source.type)
-        publisher.latch = self._sources.latching
+        publisher.latch = self.sources.latching
         self.problem = publisher.problem = ""
-        self._state.connected()
+        self.state.connected()
 
     def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
         if (publisher := self._publisher) is None:
@@ -211,11 +203,11 @@ class ServedTopic:
             self._wake.set()
 
     def disconnected(self, source: RawSource) -> None:
-        self._sources.disconnect(source)
+        self.sources.disconnect(source)
         self._thinned.pop(source, None)
         if self._publisher is not None:
             self._publisher.forget(source)
-            self._publisher.latch = self._sources.latching
+            self._publisher.latch = self.sources.latching
 
     def refused(self, error: Exception) -> None:
         # A publisher of the origin could not be connected, or is connected no longer.
@@ -235,6 +227,8 @@ class _Running:
 
 
 class Gateway:
+    """What `rossec gateway` serves by its rules; of more than `most` topics each origin has a share."""
+
     def __init__(self, node: Node, rules: Sequence[TopicRule], most: int = MAX_TOPICS) -> None:
         self.rules: Final = tuple(rules)
         self.skipped: dict[str, Obstacle] = {}  # why what a rule covers is not served, by alias
@@ -432,14 +426,15 @@ async def _serve(topic: ServedTopic) -> bool:
 
 
 def status(gateway: Gateway, name: str) -> dict[str, Any]:
+    """What `rossec gateway status` shows, as JSON."""
     rows = [
         {
             "topic": shown(alias),
             "served": served_name(alias),
             "type": each.candidate.type,
-            "state": "registering" if each.registered_at is None else each.phase.value,
+            "state": "registering" if each.registered_at is None else each.state.phase.value,
             "subscribers": each.subscribers,
-            "publishers": each.sources,
+            "publishers": len(each.sources),
             "messages": each.messages,
             "octets": each.octets,
             "problem": each.problem,

@@ -43,12 +43,15 @@ LONGEST_PAUSE: Final = 15.0
 
 @dataclass(frozen=True)
 class TopicRule:
+    """The topics of the domain `label` that `pattern` covers, asked for with `options`."""
+
     label: str
     pattern: str
     options: DeliveryOptions = DeliveryOptions()  # noqa: RUF009 - has no state
 
 
 def rule(label: str, pattern: str, options: DeliveryOptions) -> TopicRule:
+    """The rule, checked: `pattern` is of the origin's own names, not of what it has from others."""
     try:
         check_label(label)
     except HintedError as error:
@@ -180,6 +183,7 @@ class TopicSources:
 
 def same_type(one: Definition, other: Definition) -> bool:
     """Whether messages of both have the same bytes: the md5sum alone does not say it."""
+    # A publisher states its md5sum, and may send another definition under it (forged-layout).
     if (one.name, one.md5sum) != (other.name, other.md5sum):
         return False
     return one.definition == other.definition or _digest(one) == _digest(other)

@@ -21,7 +21,6 @@ from rossec.errors import RossecError, RulesExceeded, RulesNotConfined
 from rossec.host import sandbox
 from rossec.host.confinement import lower_limits
 from rossec.naming import requests
-from rossec.naming.requests import NameKind, NameRequest
 from rossec.naming.xslt import answer
 
 CPU: Final = 2  # seconds for a request
@@ -48,19 +47,19 @@ _FORKS: Final = (
 )
 _ENDED: Final = "the rules took more time or memory than allowed, and were ended"
 _ENDED_HINT: Final = f"{CPU} s and {MEMORY // 1024 // 1024} MB are allowed for one request"
-_WARM_UP: Final = NameRequest(
+_WARM_UP: Final = requests.NameRequest(
     b'<xsl:stylesheet version="1.0" xmlns:xsl="http://www.w3.org/1999/XSL/Transform">'
     b'<parameter name="a" path="/node/name" default="b"/><xsl:template match="/node">'
     b'<xsl:if test="$type=\'node\'"><name><xsl:value-of select="$a"/></name></xsl:if>'
     b"</xsl:template></xsl:stylesheet>",
     b"<node><name>c</name></node>",
-    ((NameKind.NODE, ""), (NameKind.TOPIC, "d")),
+    ((requests.NameKind.NODE, ""), (requests.NameKind.TOPIC, "d")),
 )
 
 
 def main() -> None:
     answer(_WARM_UP)  # everything that is imported or read later, while files can be opened
-    answer(NameRequest(b"<", b""))
+    answer(requests.NameRequest(b"<", b""))
     try:
         confine()
     except (OSError, ValueError) as error:

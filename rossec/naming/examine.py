@@ -6,7 +6,6 @@ their tags, not by their place.
 """
 
 import itertools
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -27,14 +26,9 @@ Covered = Callable[[str, NameKind, str], bool]
 
 @dataclass(frozen=True, order=True)
 class MetadataFinding:
-    """Something wrong, at a line of a file with metadata.
-
-    `what` is `metadata`, `undefined`, `illegal`, `rules`, `collision`, `order` or `uncovered`.
-    """
-
     file: str
     line: int
-    what: str
+    what: str  # `metadata`, `undefined`, `illegal`, `rules`, `collision`, `order` or `uncovered`
     message: str
 
     def __str__(self) -> str:
@@ -55,6 +49,8 @@ class MetadataPlace:
 
 @dataclass
 class MetadataReport:
+    """What was found, sorted, and by kind and name all places that get this name."""
+
     findings: list[MetadataFinding] = field(default_factory=list)
     names: dict[tuple[NameKind, str], list[MetadataPlace]] = field(default_factory=dict)
 
@@ -62,31 +58,25 @@ class MetadataReport:
 async def examine(
     rules: RuleRunner, documents: Iterable[tuple[str, bytes]], covered: Covered | None = None
 ) -> MetadataReport:
-    report, names = MetadataReport(), defaultdict[tuple[NameKind, str], list[MetadataPlace]](list)
+    report = MetadataReport()
     for file, document in documents:
         try:
-            await _examine_one(rules, file, document, covered, names, report.findings)
+            await _examine_one(rules, file, document, covered, report)
         except RulesNotConfined:
             raise
         except RossecError as error:
             label = "metadata" if isinstance(error, MetadataRefused) else "rules"
             report.findings.append(MetadataFinding(file, 1, label, str(error)))
-    for (_, name), (first, *others) in names.items():
+    for (_, name), (first, *others) in report.names.items():
         for place in others:
             message = f"{place.label}: {name} is also {first.label} in {first.file}:{first.line}"
             report.findings.append(MetadataFinding(place.file, place.line, "collision", message))
-    report.names = dict(names)
     report.findings.sort()
     return report
 
 
 async def _examine_one(
-    rules: RuleRunner,
-    file: str,
-    document: bytes,
-    covered: Covered | None,
-    names: dict[tuple[NameKind, str], list[MetadataPlace]],
-    findings: list[MetadataFinding],
+    rules: RuleRunner, file: str, document: bytes, covered: Covered | None, report: MetadataReport
 ) -> None:
     read = requests.read(document)
     entries = [MetadataPlace(file, entry.line, entry.kind, entry.name) for entry in read.entries]
@@ -96,19 +86,19 @@ async def _examine_one(
     for place, result in zip(places, results, strict=True):
         if isinstance(result, RossecError):
             label = _LABELS.get(type(result), "rules")
-            findings.append(MetadataFinding(file, place.line, label, f"{place.label}: {result}"))
+            report.findings.append(MetadataFinding(file, place.line, label, f"{place.label}: {result}"))
             continue
-        names[place.kind, result].append(place)
+        report.names.setdefault((place.kind, result), []).append(place)
         if covered is not None and node is not None and not covered(node, place.kind, result):
             message = f"{place.label}: no grant or rule covers {result} for {node}"
-            findings.append(MetadataFinding(file, place.line, "uncovered", message))
+            report.findings.append(MetadataFinding(file, place.line, "uncovered", message))
     changed: dict[MetadataPlace, MetadataFinding] = {}
     for other in orders(document):
         for place, first, second in zip(places, results, await rules.names(other, queries), strict=True):
             if _text(first) != _text(second) and place not in changed:
                 said = f"{_text(first)}, but in another order of the same metadata {_text(second)}"
                 changed[place] = MetadataFinding(file, place.line, "order", f"{place.label}: {said}")
-    findings += changed.values()
+    report.findings += changed.values()
 
 
 def _text(result: Result) -> str:

@@ -75,7 +75,7 @@ class NameKind(StrEnum):
 
 @dataclass(frozen=True)
 class Entry:
-    """One topic or service, on a line of its document. What is not said is None."""
+    """A topic or service. What is not said is None."""
 
     kind: NameKind
     name: str
@@ -115,6 +115,7 @@ Result = str | RossecError
 
 
 def check_rules(data: bytes) -> bytes:
+    """Return `data` if it may be parsed as rules; else raise `RulesRefused`."""
     return check_document(data, "rules", RulesRefused)
 
 
@@ -267,8 +268,7 @@ def _query(item: Value) -> tuple[NameKind, str]:
     match item:
         case [str() as kind, str() as which] if kind in set(NameKind):
             return NameKind(kind), which
-        case _:
-            raise EncodingError("a query of another form")
+    raise EncodingError("a query of another form")
 
 
 def write_names(results: list[Result]) -> bytes:
@@ -303,16 +303,14 @@ def _result(item: Value) -> Result:
     match item:
         case [0, str() as text] if len(text) <= MAX_TEXT:
             return text
-        case _:
-            return _error(item)
+    return _error(item)
 
 
 def _error(item: Value) -> RossecError:
     match item:
         case [int() as code, str() as message, str() as hint] if 0 < code <= len(_ERRORS):
             return _ERRORS[code - 1](message[:MAX_TEXT], hint[:MAX_TEXT])
-        case _:
-            return RulesExceeded(_ODD)
+    return RulesExceeded(_ODD)
 
 
 def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:

@@ -34,6 +34,7 @@ def shipped_example(name: str) -> bytes:
 
 
 def require_extra(library: str = LIBRARY) -> None:
+    """Refuse names by rules where the extra `names` is not installed."""
     if importlib.util.find_spec(library) is None:
         raise RossecError(
             f"names by rules need {library}, which is not installed",
@@ -46,25 +47,17 @@ class RuleProcess:
 
     def __init__(self, command: Sequence[str] = CHILD) -> None:
         try:
-            self._worker = AskedWorker(command, stderr=subprocess.DEVNULL, cwd="/")
+            self.worker = AskedWorker(command, stderr=subprocess.DEVNULL, cwd="/")
         except OSError as error:
             raise RulesNotConfined(f"the process for rules does not start: {error}") from error
         self._is_ready = False
-        self.close = self._worker.close
-
-    @property
-    def pid(self) -> int:
-        return self._worker.pid
-
-    @property
-    def has_ended(self) -> bool:
-        return self._worker.has_ended
+        self.close = self.worker.close
 
     async def ask(self, body: bytes, seconds: float) -> bytes:
         if not self._is_ready:
             try:
                 async with asyncio.timeout(START):
-                    first = await self._worker.receive(requests.answer_size)
+                    first = await self.worker.receive(requests.answer_size)
             except (OSError, EOFError, RulesExceeded) as error:  # TimeoutError is an OSError
                 hint = "run python -m rossec.naming.child to see why"
                 raise RulesNotConfined("the process for rules does not start", hint) from error
@@ -74,7 +67,7 @@ class RuleProcess:
             self._is_ready = True
         try:
             async with asyncio.timeout(seconds):
-                return await self._worker.ask(requests.frame(body), requests.answer_size)
+                return await self.worker.ask(requests.frame(body), requests.answer_size)
         except TimeoutError:
             raise RulesExceeded(f"the rules took longer than {seconds:g} s") from None
         except (OSError, EOFError) as error:
@@ -170,7 +163,7 @@ class RuleRunner:
             raise RulesExceeded("the processes for rules have ended")
         while self._idle:
             process = self._idle.pop()
-            if not process.has_ended:
+            if not process.worker.has_ended:
                 return process
             process.close()
         return self._start()

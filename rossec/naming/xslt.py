@@ -14,7 +14,6 @@ from lxml import etree
 
 from rossec.errors import MetadataRefused, NameUndefined, RossecError, RulesExceeded, RulesRefused
 from rossec.naming import requests
-from rossec.naming.requests import NameKind, NameRequest, Result
 
 XSLT: Final = "http://www.w3.org/1999/XSL/Transform"
 STRINGS: Final = "http://exslt.org/strings"
@@ -56,7 +55,7 @@ _SCAN_HINT: Final = "rules are XSLT 1.0 without imports, documents and extension
 _HINT: Final = 'write <parameter name="group" path="//node/group" default="unknown_group"/>'
 
 
-def answer(request: NameRequest) -> bytes:
+def answer(request: requests.NameRequest) -> bytes:
     """The body of the answer to `request`: names, or why there are none.
 
     Without metadata the rules are compiled, and that is all.
@@ -115,6 +114,7 @@ def _replace(element: Any, default: str) -> None:
     given = _child(choose, "when", {"test": f"normalize-space({path}) != ''"})
     _child(given, "value-of", {"select": f"normalize-space({path})"})
     _child(_child(choose, "otherwise"), "text").text = default
+    # What is wrong with it is told at the line of the short form, which is what its author has written.
     for made in variable.iter():
         made.sourceline = element.sourceline
     variable.tail = element.tail
@@ -196,13 +196,13 @@ def _parse(data: bytes, refusal: type[RossecError], what: str) -> Any:
         raise refusal(f"line {error.lineno}: {what} that are no XML: {message}", "correct it there") from None
 
 
-def _result(sheet: Any, document: Any, kind: NameKind, which: str) -> Result:
+def _result(sheet: Any, document: Any, kind: requests.NameKind, which: str) -> requests.Result:
     text = etree.XSLT.strparam
     try:
         root = sheet(document, type=text(kind.value), name=text(which)).getroot()
     except etree.XSLTApplyError as error:
         return RulesRefused(f"{_where(error)}the rules failed: {_one_line(str(error))}")
-    asked = f"the {kind}" if kind is NameKind.NODE else f"the {kind} {which!a}"
+    asked = f"the {kind}" if kind is requests.NameKind.NODE else f"the {kind} {which!a}"
     if root is None:
         return NameUndefined(f"the rules give no name for {asked}", "is it in the metadata?")
     if root.tag != NAME or len(root):

@@ -183,7 +183,7 @@ class FakeHome:
         return {name: self._handler(name) for name in messages.OPERATIONS}
 
     def _handler(self, name: str) -> Callable[..., Value]:
-        lists = {"identity-requests": "requests", "policy-names": "names"}
+        lists = {"identity-requests": "requests", "policy-names": "names", "trust-status": "trust_status"}
         made: Callable[..., Any] | None = getattr(self, f"_do_{name.replace('-', '_')}", None)
 
         def handle(*arguments: Value) -> Value:

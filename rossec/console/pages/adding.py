@@ -13,7 +13,7 @@ from ca.enrollment import qr
 from ca.enrollment.sides import group_digits
 from ca.errors import CodeRefused, ConflictingOffer, HintedError
 from rossec.console.approvals import IDENTITY_LIFETIME, MAX_USES
-from rossec.console.enrollments import RecordedName, Stage
+from rossec.console.enrollments import REJECTED, RecordedName, Stage
 from rossec.console.rendering import MAX_FRAME, PageList, Visit, go, text_field
 from rossec.errors import HttpRefused, ScannerBusy
 
@@ -77,7 +77,7 @@ async def show_one(visit: Visit) -> Response:
 @PAGES.post("/add/{id}/reject")
 async def reject_node(visit: Visit) -> Response:
     await visit.form()
-    await visit.context.enrollments.reject(visit.path["id"])
+    await visit.context.enrollments.get(visit.path["id"]).reject()
     return go(f"/add/{visit.path['id']}")
 
 
@@ -136,14 +136,10 @@ async def end(visit: Visit) -> Response:
     return go("/invite")
 
 
-REJECTED: Final = "rejected at the console"
-
-
 @PAGES.get("/join/{id}")
 async def show_join(visit: Visit) -> Response:
-    number = visit.id
     waiting = await visit.service.identity_requests()
-    found = next((each for each in waiting if each.id == number), None)
+    found = next((each for each in waiting if each.id == visit.id), None)
     return visit.show("join.html", live=True, found=found, lifetime=IDENTITY_LIFETIME)
 
 

@@ -12,15 +12,15 @@ from urllib.parse import urlencode
 
 from starlette.responses import Response
 
+from ca.approvals.passkeys import base64url
 from ca.certificates import check_intermediate_request
 from ca.errors import HintedError
 from ca.keys.signing import thumbprint
 from ca.names import is_master_name
 from rossec.authority.console.messages import FactView, PolicyRight, QuestionAnswer
 from rossec.console import approvals
-from rossec.console.approvals import certificate_request
 from rossec.console.matrix import held_grants
-from rossec.console.rendering import MAX_BODY, PageList, Visit, from_base64url, go, text_field, to_base64url
+from rossec.console.rendering import MAX_BODY, PageList, Visit, from_base64url, go, text_field
 from rossec.console.sentences import Sayable, name_part, permissions, say, topic_part, wanted
 from rossec.errors import FormRefused, HttpRefused
 
@@ -101,7 +101,7 @@ async def show_intermediate(visit: Visit) -> Response:
 async def check_request(visit: Visit) -> Response:
     text = text_field(await visit.form(), "csr", MAX_BODY)
     try:
-        key = check_intermediate_request(certificate_request(text), visit.context.settings.domain)
+        key = check_intermediate_request(approvals.certificate_request(text), visit.context.settings.domain)
     except HintedError as error:
         return visit.show("intermediate.html", 422, csr=text, key=None, problem=error)
     return visit.show("intermediate.html", csr=text, key=thumbprint(key), problem=None)
@@ -130,7 +130,7 @@ async def revoke_grant(visit: Visit) -> Response:
     except FormRefused as problem:  # said where it was typed, with a field to go on
         return _ask(visit, *await _grant(visit, number), problem=problem, form=form)
     epoch, seq = await visit.service.revoke_grant(number, reason)
-    return go(f"/revoked/{epoch}/{seq}?{urlencode({'grant': to_base64url(number)})}")
+    return go(f"/revoked/{epoch}/{seq}?{urlencode({'grant': base64url(number)})}")
 
 
 @PAGES.get("/revoke/node/{name:path}")

@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from starlette.responses import JSONResponse, Response
 
+from ca.approvals.passkeys import base64url
 from ca.approvals.statement import MAX_PAYLOAD, StatementKind
 from ca.encoding import decode
 from ca.enrollment import qr
@@ -21,7 +22,7 @@ from grants.model import ID_SIZE
 from rossec.authority.console.messages import LoginChallenge, PasskeyAssertion, PasskeyRegistration, Prepared
 from rossec.console import approvals, words
 from rossec.console.options import MAX_PHONE_NAME
-from rossec.console.rendering import PUBLIC, PageList, Visit, bytes_field, go, text_field, to_base64url
+from rossec.console.rendering import PUBLIC, PageList, Visit, bytes_field, go, text_field
 from rossec.console.sentences import SentencePart, permission
 from rossec.console.sessions import COOKIE, COOKIE_SIZE
 from rossec.errors import HttpRefused, KeyServiceFailed
@@ -63,8 +64,7 @@ async def challenge(visit: Visit) -> Response:
 async def log_in(visit: Visit) -> Response:
     check_pause(visit)
     fields = await visit.json()
-    asking = visit.service.login(bytes_field(fields, "id"), read_assertion(fields))
-    phone = await counted(visit, asking)
+    phone = await counted(visit, visit.service.login(bytes_field(fields, "id"), read_assertion(fields)))
     return _begin(visit, JSONResponse({"next": FIRST}), phone)
 
 
@@ -80,8 +80,7 @@ async def new(visit: Visit) -> Response:
 @PAGES.post("/login/phone", PUBLIC)
 async def add_phone(visit: Visit) -> Response:
     check_pause(visit)
-    adding = visit.service.add_passkey(read_registration(await visit.json()))
-    view = await counted(visit, adding)
+    view = await counted(visit, visit.service.add_passkey(read_registration(await visit.json())))
     return _begin(visit, JSONResponse({"next": FIRST}), view.name)
 
 
@@ -96,9 +95,9 @@ async def log_out(visit: Visit) -> Response:
 def challenge_fields(made: LoginChallenge | Prepared, now: int) -> dict[str, object]:
     """A challenge as `approve.js` reads it; the timeout is in milliseconds."""
     return {
-        "id": to_base64url(made.id),
-        "challenge": to_base64url(made.challenge),
-        "credentials": [to_base64url(each) for each in made.credentials],
+        "id": base64url(made.id),
+        "challenge": base64url(made.challenge),
+        "credentials": [base64url(each) for each in made.credentials],
         "rpId": made.rp_id,
         "timeout": max(0, made.until - now) * 1000,
     }
@@ -220,6 +219,7 @@ async def approve(visit: Visit) -> Response:
     if act is None:
         raise HttpRefused("this was not asked here", "load the page again", status=404)
     outcome = await visit.service.approve(statement, read_assertion(await visit.json()))
+    # After it was used: the service takes a statement once in any case (forged-approval).
     visit.context.pending.pop(statement, session)
     return JSONResponse({"next": approvals.carried_out(visit.context, act, outcome, session)})
 
@@ -266,7 +266,6 @@ def _given(data: bytes) -> list[Given]:
     made = []
     for grant in grants:
         for each in grant.permissions:
-            plain = "" if each.restriction is None else words.plain([each.restriction])
-            parts = permission(each)[:2]
-            made.append(Given(grant.subject, parts, plain, max(grant.expires, grant.cap)))
+            plain = words.plain(filter(None, [each.restriction]))
+            made.append(Given(grant.subject, permission(each)[:2], plain, max(grant.expires, grant.cap)))
     return made

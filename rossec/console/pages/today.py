@@ -11,6 +11,7 @@ from urllib.parse import urlencode
 
 from starlette.responses import Response, StreamingResponse
 
+from ca.approvals.passkeys import base64url
 from ca.errors import HintedError
 from grants.model import Permission, Right
 from rossec.authority.console.messages import EventView, GrantQuestion
@@ -18,7 +19,7 @@ from rossec.console import approvals
 from rossec.console.matrix import Matrix, TopicAccess, TopicRow
 from rossec.console.pages import visibility
 from rossec.console.pictures import flow, place
-from rossec.console.rendering import PageList, Visit, to_base64url
+from rossec.console.rendering import PageList, Visit
 from rossec.console.sentences import KnownIds, SentencePart, permissions, refusals, say, story
 
 PAGES: Final = PageList()
@@ -82,12 +83,12 @@ async def _waiting(visit: Visit, questions: Iterable[GrantQuestion]) -> list[Wai
         drives = any(approvals.drives(each) for each in question.rights)
         asks = "asks to drive, to" if drives else "asks to"
         said = say(SentencePart(question.node, is_name=True), asks, *permissions(rights))
-        where, acts = f"/ask/{to_base64url(question.id)}", approvals.acts(question.rights)
+        where, acts = f"/ask/{base64url(question.id)}", approvals.acts(question.rights)
         found.append(WaitingQuestion(said, where, question.at, question.why, acts))
     for each in await visit.service.identity_requests():
         if each.state == "pending":
             said = say(SentencePart(each.name, is_name=True), "asks to join")
-            found.append(WaitingQuestion(said, f"/join/{to_base64url(each.id)}", each.arrived))
+            found.append(WaitingQuestion(said, f"/join/{base64url(each.id)}", each.arrived))
     now = visit.context.clock()
     phones = await visit.service.proposals()
     found += [WaitingQuestion(say(each.name, "wants to approve, too"), "/phones", now) for each in phones]

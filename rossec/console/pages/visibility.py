@@ -33,7 +33,6 @@ from rossec.console.matrix import (
 from rossec.console.pictures import looks
 from rossec.console.rendering import STATIC_FOLDER, PageList, Visit, render_text
 from rossec.console.sentences import KnownIds, SentencePart, permission, permissions, story
-from rossec.console.words import NONE, Names
 from rossec.errors import HttpRefused, KeyServiceFailed
 from rossec.participant.host_types import layout_of
 from rossec.peer_limits import printable
@@ -45,16 +44,11 @@ _log = logging.getLogger("rossec.console")
 
 
 class Overview(NamedTuple):
-    """The home at one moment; `without_master`: it does not answer, so there is no graph.
-
-    `heard`: what was ended and every node knows.
-    """
-
     nodes: tuple[NodeView, ...]
     held: tuple[ShownGrant, ...]
     facts: tuple[FactView, ...]
     matrix: Matrix
-    without_master: bool
+    without_master: bool  # it does not answer, so there is no graph
     heard: Heard
     now: int
 
@@ -142,10 +136,8 @@ def comparison(visit: Visit, row: TopicRow) -> looks.Comparison | None:
     """What the topic looks like to its receivers: by the preview, else made up; None: unknown."""
     if not row.type or row.is_pattern or not row.seen_by():
         return None
-    preview = visit.context.preview
-    real = None if preview is None else preview.recorded(row.topic)
     applied = [each for cell in row.seen_by() for each in cell.restrictions]
-    recorded = real if real is not None else samples.recorded(row.topic, row.type, applied)
+    recorded = samples.recorded(row.topic, row.type, applied, visit.context.preview)
     found = None if recorded is None else looks.compare(recorded, row.cells)
     return found if found is not None and found.looks else None
 
@@ -307,8 +299,7 @@ def grant_line(held: ShownGrant, now: int) -> GrantLine:
     if held.is_ending:
         term = f"was ended {words.ago(held.ended_at, now)}, and not every node has heard"
     given = permissions(held.grant.permissions)
-    ended = bool(held.ended_at)
-    return GrantLine(held.view.id, given, term, ended, held.reason, held.is_ending)
+    return GrantLine(held.view.id, given, term, bool(held.ended_at), held.reason, held.is_ending)
 
 
 @PAGES.get("/grant/{id}")
@@ -320,9 +311,7 @@ async def grant(visit: Visit) -> Response:
         raise HttpRefused("there is no such grant in the last 30 days", "see who sees what", status=404)
     lines = [
         PermissionLine(
-            permission(each),
-            words.restrictions([each.restriction] if each.restriction is not None else []),
-            tuple(each.lines()),
+            permission(each), words.restrictions(filter(None, [each.restriction])), tuple(each.lines())
         )
         for each in held.grant.permissions
     ]
@@ -357,7 +346,7 @@ async def show_privacy(visit: Visit) -> Response:
     )
 
 
-def write(found: Sequence[ReportTopic], robot: str, now: int, names: Names = NONE) -> str:
+def write(found: Sequence[ReportTopic], robot: str, now: int, names: words.Names = words.NONE) -> str:
     style = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
     values = {"topics": found, "robot": robot, "now": now, "style": style}
     return render_text("report_alone.html", names, **values)

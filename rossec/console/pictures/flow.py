@@ -115,10 +115,8 @@ def _seen(matrix: Matrix, middle: Mapping[str, float], right: Mapping[str, float
 
 
 def free_places(struck: Sequence[Line], others: Sequence[Line]) -> list[Point]:
-    """Where the mark of each struck line is: on it, as far as can be from all other lines.
-
-    A mark on the crossing of two lines would strike the wrong one.
-    """
+    """Where the mark of each struck line is: on it, as far as can be from all other lines."""
+    # A mark on the crossing of two lines would strike the wrong one.
     taken = [along(start, end, at / 40) for start, end in others for at in range(41)]
     places: list[Point] = []
     for line in struck:

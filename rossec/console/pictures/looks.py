@@ -217,20 +217,15 @@ class Look(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """The looks of one topic; `more`: ways to see it that are not shown."""
-
     topic: str
     type: str
     looks: tuple[Look, ...]
-    more: int
+    more: int  # ways to see it that are not shown
     is_made_up: bool
 
 
 def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
-    """The different ways in which the receivers of `cells` see `recorded`, the widest first.
-
-    There is none if the type of the messages is not known here.
-    """
+    """The different ways in which the receivers of `cells` see `recorded`, the widest first."""
     # All receivers with the same restrictions share a picture.
     ways: dict[Any, list[Cell]] = {}
     for cell in cells:
@@ -241,7 +236,7 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
     newest = _LAST if recorded.type in (SCAN_TYPE, IMAGE_TYPE) else MAX_MESSAGES  # of these the last is drawn
     recorded = recorded._replace(messages=recorded.messages[-newest:])
     exact = try_see(recorded, "", ())
-    if exact is None:
+    if exact is None:  # the type of the messages is not known here
         return Comparison(recorded.topic, recorded.type, (), 0, recorded.is_made_up)
     seen = [try_see(recorded, group[0].receiver, group[0].restrictions) for group in shown]
     cells = [group[0] for group in shown]

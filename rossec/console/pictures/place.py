@@ -97,10 +97,8 @@ def draw(seen: SeenTopic, frame: PlaceFrame, cell: Extent | None) -> SvgElement 
     if cell is None:
         drawn, said = _track(seen, points, frame), f"The track that {seen.receiver} sees"
     else:
-        drawn, said = (
-            _squares(points, frame, cell),
-            f"The {distinct(points)} squares that {seen.receiver} sees",
-        )
+        drawn = _squares(points, frame, cell)
+        said = f"The {distinct(points)} squares that {seen.receiver} sees"
     return drawing(WIDTH, HEIGHT, said, SvgElement("g", *lines), ruler, *drawn, class_="place")
 
 

@@ -16,8 +16,7 @@ from typing import Final
 from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
-from rossec.console import samples
-from rossec.console.samples import MAX_TOPICS, PreviewMessage
+from rossec.console.samples import MAX_DATA, MAX_TOPICS, PreviewMessage, write_preview
 from rossec.discovery import discover_master
 from rossec.errors import AnswerRefused, MessageError
 from rossec.host.runner import TaskSet, until_first_ends
@@ -77,10 +76,10 @@ class PreviewReceiver:
         next_at = 0.0
         async for data in subscriber.raw():
             at = clock.time()
-            if at < next_at or len(data) > samples.MAX_DATA:
+            if at < next_at or len(data) > MAX_DATA:
                 continue
             next_at = at + 1 / PER_SECOND
-            self._writer.write(samples.write_preview(PreviewMessage(subscriber.topic, kind, at, data)))
+            self._writer.write(write_preview(PreviewMessage(subscriber.topic, kind, at, data)))
             await self._writer.drain()
 
 

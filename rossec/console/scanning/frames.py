@@ -6,7 +6,7 @@ no code) or `[1, message, hint]` in deterministic CBOR the other way.
 """
 
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 from ca.encoding import decode, encode
 from ca.enrollment.qr import MAX_TEXT
@@ -19,14 +19,15 @@ MAX_ANSWER: Final = 4096
 
 
 class Found(NamedTuple):
-    """The text of the code in a picture; empty: there is none."""
-
-    text: str
+    text: str  # of the code in a picture; empty: there is none
 
 
 class Unreadable(NamedTuple):
     message: str
     hint: str
+
+
+Answer: TypeAlias = Found | Unreadable
 
 
 def frame(body: bytes) -> bytes:
@@ -43,11 +44,11 @@ def size(head: bytes, limit: int) -> int:
 answer_size: Final = partial(size, limit=MAX_ANSWER)
 
 
-def write_answer(answer: Found | Unreadable) -> bytes:
+def write_answer(answer: Answer) -> bytes:
     return frame(encode([0 if isinstance(answer, Found) else 1, *answer]))
 
 
-def read_answer(body: bytes) -> Found | Unreadable:
+def read_answer(body: bytes) -> Answer:
     try:
         match decode(body, limit=MAX_ANSWER):
             case [0, str() as text] if len(text) <= MAX_TEXT:

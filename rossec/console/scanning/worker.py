@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from rossec.console.scanning import frames
-from rossec.console.scanning.frames import Found, Unreadable
 from rossec.enrollment import scanner
 from rossec.errors import ConfigurationError
 from rossec.host import sandbox
 from rossec.host.confinement import lower_limits
-from rossec.host.sandbox import protect_memory
 
-SEVERAL: Final = Unreadable("there are several codes in the picture", "show one of them alone")
-_LARGE: Final = Unreadable("the picture takes more memory than allowed", scanner.CLOSER)
+SEVERAL: Final = frames.Unreadable("there are several codes in the picture", "show one of them alone")
+_LARGE: Final = frames.Unreadable("the picture takes more memory than allowed", scanner.CLOSER)
 _NICE: Final = 10  # a camera is no reason to slow a robot down
 _LIMITS: Final = {
     resource.RLIMIT_AS: scanner.MEMORY,
@@ -34,7 +32,7 @@ _log = logging.getLogger("rossec.console.scanner")
 
 def main() -> None:
     logging.basicConfig(level=logging.WARNING)
-    protect_memory()
+    sandbox.protect_memory()
     answer(b"")  # loads the libraries
     confine()
     serve(sys.stdin.buffer, sys.stdout.buffer, answer)
@@ -51,21 +49,21 @@ def confine() -> None:
         _log.warning("the scanner can read the files of its user: %s", error)
 
 
-def serve(source: BinaryIO, sink: BinaryIO, read: Callable[[bytes], Found | Unreadable]) -> None:
+def serve(source: BinaryIO, sink: BinaryIO, read: Callable[[bytes], frames.Answer]) -> None:
     while len(head := source.read(frames.HEAD)) == frames.HEAD:
         picture = source.read(frames.size(head, frames.MAX_PICTURE))
         sink.write(frames.write_answer(read(picture)))
         sink.flush()
 
 
-def answer(picture: bytes) -> Found | Unreadable:
+def answer(picture: bytes) -> frames.Answer:
     try:
         texts = scanner.texts(picture)
     except ConfigurationError as error:
-        return Unreadable(str(error), error.hint)
+        return frames.Unreadable(str(error), error.hint)
     except MemoryError:
         return _LARGE
-    return SEVERAL if len(texts) > 1 else Found(texts[0] if texts else "")
+    return SEVERAL if len(texts) > 1 else frames.Found(texts[0] if texts else "")
 
 
 if __name__ == "__main__":

@@ -29,6 +29,8 @@ WORDS: Final[Mapping[str, tuple[type, ...]]] = {
 
 @dataclass(frozen=True)
 class WebSettings:
+    """What the web process was started with."""
+
     domain: str
     origins: tuple[str, ...]  # as browsers send them (RFC 6454); of the first are links and passkeys
     users: frozenset[int] | None = None  # whose programs on this host may connect; None: not on localhost

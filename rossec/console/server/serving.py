@@ -13,14 +13,13 @@ from email.utils import formatdate
 from functools import partial
 from typing import Any, Final
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
 from rossec.errors import PeerUserRefused
 from rossec.host import local_sockets
-from rossec.host.local_sockets import require_user
 from rossec.host.runner import TaskSet
 from rossec.net.aio.server import ACCEPT_PAUSE
 from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
@@ -83,7 +82,7 @@ class ConnectionShares:
 
     # A connection takes one when it is accepted, before TLS begins, and keeps it until it is closed. Where
     # all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a session
-    # was shown moves to the places of sessions: strangers end none of those.
+    # was shown moves to the places of sessions: strangers end none of those (console-connections).
 
     def __init__(self) -> None:
         self._strangers = HalfOpenCount(STRANGERS)
@@ -111,7 +110,8 @@ class BoundedProtocol(H11Protocol):
         self.has_begun = True
         if self.place is not None:
             self.place.closed_by(transport.abort)
-            self.app = _placed(self.app, self.place)
+            app, place = self.app, self.place
+            self.app = lambda scope, receive, send: app({**scope, PLACE: place}, receive, send)
         self._arm()
 
     def data_received(self, data: bytes) -> None:
@@ -154,14 +154,12 @@ class BoundedProtocol(H11Protocol):
             self._deadline = None
 
 
-def _placed(app: ASGIApp, place: ConnectionPlace) -> ASGIApp:
-    async def call(scope: Scope, receive: Receive, send: Send) -> None:
-        await app({**scope, PLACE: place}, receive, send)
-
-    return call
-
-
 class ConsoleServer:
+    """Serves `app` at sockets that listen, with TLS if it has a `context`.
+
+    `proxy_users` may connect at a unix socket, `users` over TCP (None: anybody).
+    """
+
     def __init__(
         self,
         app: ASGIApp,
@@ -177,6 +175,7 @@ class ConsoleServer:
             interface="asgi3",
             log_config=None,  # and no access log: a path can name a robot
             access_log=False,
+            # Anybody can send `X-Forwarded-For`: an address is what the kernel says, or none.
             proxy_headers=False,
             server_header=False,
             timeout_keep_alive=KEEP_ALIVE,
@@ -223,18 +222,17 @@ class ConsoleServer:
     def _place_for(self, sock: socket.socket, where: Any) -> ConnectionPlace | None:
         if sock.family == socket.AF_UNIX:  # a proxy
             try:
-                require_user(sock, self._proxy_users)
+                local_sockets.require_user(sock, self._proxy_users)
             except (PeerUserRefused, OSError) as error:
                 _log.warning("refused at the console's socket: %s", error)
                 return None
             return self.places.take("", is_other_user=False)
         scope = {"client": where[:2], "server": sock.getsockname()[:2]}
-        is_other_user = False
         try:
             check_peer(scope, self._users)
         except PeerUserRefused:  # a few of them are told so, by the guard
-            is_other_user = True
-        return self.places.take(where[0], is_other_user=is_other_user)
+            return self.places.take(where[0], is_other_user=True)
+        return self.places.take(where[0], is_other_user=False)
 
     async def _begin(self, sock: socket.socket, place: ConnectionPlace) -> None:
         loop = asyncio.get_running_loop()

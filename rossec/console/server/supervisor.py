@@ -21,9 +21,7 @@ from rossec.console.listening import listen
 from rossec.console.options import ConsoleEndpoint
 from rossec.console.preview.receiver import NAME
 from rossec.console.scanning import frames
-from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
-from rossec.console.server.control import IDLE, LIFETIME, ON_THE_WALL, WebSettings, write_settings
 from rossec.enrollment import CLOSER
 from rossec.errors import ConfigurationError, KeyMessageRefused
 from rossec.home import NodeHome
@@ -38,7 +36,7 @@ WORKER: Final = worker_command("rossec.console.scanning.worker")
 DEADLINE: Final = 4.0  # seconds for a picture
 SCANNER_START: Final = 20.0  # seconds more for the first picture of a worker
 SCANNER_IDLE: Final = 60.0  # seconds without a picture after which a worker ends
-_SLOW: Final = Unreadable("reading the picture took too long, or failed", CLOSER)
+_SLOW: Final = frames.Unreadable("reading the picture took too long, or failed", CLOSER)
 _log = logging.getLogger("rossec.console")
 _scanner_log = logging.getLogger("rossec.console.scanner")
 
@@ -48,10 +46,10 @@ every newer one, for ever."""
 
 
 class WebOptions(NamedTuple):
-    """What it serves; `service` is the path of the service's socket for the console."""
+    """What it serves."""
 
-    settings: WebSettings
-    service: Path
+    settings: control.WebSettings
+    service: Path  # of the service's socket for the console
     log: str = "text"
 
 
@@ -82,7 +80,7 @@ async def supervise(
             endpoint.unix_path.unlink(missing_ok=True)
 
 
-def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
+def settings_for(endpoint: ConsoleEndpoint, domain: str) -> control.WebSettings:
     """The web process's settings: on localhost only this user's programs may connect."""
     own, proxies = frozenset({os.geteuid()}), frozenset[int]()
     if endpoint.unix_path is not None:
@@ -93,15 +91,15 @@ def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
             except KeyError:
                 said = f"there is no user {endpoint.proxy_user!a} on this host"
                 raise ConfigurationError(said, "--proxy-user is the user of the proxy") from None
-    return WebSettings(
+    return control.WebSettings(
         domain,
         (endpoint.origin,),
         users=own if endpoint.is_local and not endpoint.unix_path else None,
         proxy_users=proxies,
         hsts=endpoint.hsts,
         read_only=endpoint.read_only,
-        lifetime=ON_THE_WALL if endpoint.read_only else LIFETIME,
-        idle=ON_THE_WALL if endpoint.read_only else IDLE,
+        lifetime=control.ON_THE_WALL if endpoint.read_only else control.LIFETIME,
+        idle=control.ON_THE_WALL if endpoint.read_only else control.IDLE,
     )
 
 
@@ -121,7 +119,7 @@ class WebProcess:
         self._certificates = certificates
         self._command = worker_command(module)
         self._process: subprocess.Popen[bytes] | None = None
-        self._started: asyncio.Future[None] | None = None
+        self._started = asyncio.Event()
 
     @property
     def pid(self) -> int | None:
@@ -133,7 +131,7 @@ class WebProcess:
     async def started(self) -> None:
         try:
             async with asyncio.timeout(START):
-                await self._future()
+                await self._started.wait()
         except TimeoutError as error:
             said = "the console's web process does not start"
             raise ConfigurationError(said, "its messages are above") from error
@@ -167,7 +165,7 @@ class WebProcess:
         options = self._options
         arguments = (
             ",".join(map(str, descriptors)),
-            write_settings(options.settings),
+            control.write_settings(options.settings),
             str(options.service),
             "plain" if self._certificates is None else "tls",
             options.log,
@@ -182,8 +180,7 @@ class WebProcess:
             while True:
                 if control.read(await read_frame(reader, control.frame_size)).word != control.READY:
                     raise KeyMessageRefused("the web process says what is not for it to say")
-                if not self._future().done():
-                    self._future().set_result(None)
+                self._started.set()
         except (asyncio.IncompleteReadError, ConnectionError):
             return
 
@@ -196,17 +193,11 @@ class WebProcess:
         if self._preview is not None:
             await self._preview.end()
 
-    def _future(self) -> asyncio.Future[None]:
-        if self._started is None:
-            self._started = asyncio.get_running_loop().create_future()
-        return self._started
-
 
 class ScannerSupervisor:
-    """Answers the web process with what the worker that decodes pictures reads, one at a time.
+    """Answers the web process with what the worker that decodes pictures reads, one at a time."""
 
-    A worker that takes too long, breaks the protocol or dies is killed, and the next picture gets a new one.
-    """
+    # A worker that takes too long, breaks the protocol or dies is killed; the next picture gets a new one.
 
     def __init__(
         self,
@@ -238,7 +229,7 @@ class ScannerSupervisor:
             writer.transport.abort()
             self._end()
 
-    async def _read(self, picture: bytes) -> Found | Unreadable:
+    async def _read(self, picture: bytes) -> frames.Answer:
         limit = self._deadline
         try:
             if self._worker is None:
@@ -258,6 +249,8 @@ class ScannerSupervisor:
 
 
 class PreviewProcess:
+    """The process of the preview: `start` gives the socket at which its messages come."""
+
     def __init__(self, environ: Mapping[str, str], module: str = RECEIVER_MODULE) -> None:
         self._environ = environ
         self._command = worker_command(module)
@@ -288,6 +281,7 @@ class PreviewProcess:
 
 
 def check_enrolled(home: Path) -> None:
+    """Refuse a home without a valid identity of the preview's node."""
     node = NodeHome.of(home, NAME)
     if not (node.path / "node.pem").exists():
         raise ConfigurationError(

@@ -13,18 +13,15 @@ import ssl
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 
 from rossec import clock
 from rossec.authority.console.client import ConsoleClient
-from rossec.console import samples
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
-from rossec.console.samples import PreviewMemory
+from rossec.console.samples import PreviewMemory, preview_size, read_preview
 from rossec.console.scanning import frames
-from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
-from rossec.console.server.control import WebSettings, read_settings
 from rossec.console.server.serving import ConsoleServer
 from rossec.errors import ConfigurationError, KeyMessageRefused, RossecError, ScannerBusy
 from rossec.host.runner import TaskSet, log_as_json
@@ -36,15 +33,11 @@ TIMEOUT: Final = 30.0  # for one; the supervisor answers earlier
 _SWEEP: Final = 5.0  # seconds between two looks for messages that are old
 _PASTE: Final = "paste the text below the code instead"
 _log = logging.getLogger("rossec.console")
-Answer: TypeAlias = Found | Unreadable
 
 
 def main(arguments: list[str]) -> None:
-    """Run it.
-
-    Arguments: descriptors (supervisor, scanner, perhaps the preview, those that listen), settings,
-    path of the service, `plain` or `tls`, form of the log, `preview` or `made-up`.
-    """
+    # Descriptors of the supervisor, the scanner, perhaps the preview, and those that listen; then settings,
+    # the path of the service, `plain` or `tls`, the form of the log, `preview` or `made-up`.
     descriptors, settings, service, tls, log, pictures = arguments
     if log == "json":
         log_as_json()
@@ -56,7 +49,9 @@ def main(arguments: list[str]) -> None:
         supervisor, scanner, *listening = (socket.socket(fileno=int(each)) for each in descriptors.split(","))
         context = make_context() if tls == "tls" else None
         preview = listening.pop(0) if pictures == "preview" else None
-        process = WebServer(read_settings(settings), ConsoleClient(Path(service)), scanner, context, preview)
+        process = WebServer(
+            control.read_settings(settings), ConsoleClient(Path(service)), scanner, context, preview
+        )
         await process.run(supervisor, listening)
 
     run_confined(run)
@@ -65,7 +60,7 @@ def main(arguments: list[str]) -> None:
 class WebServer:
     def __init__(
         self,
-        settings: WebSettings,
+        settings: control.WebSettings,
         client: ConsoleClient,
         scanner: socket.socket,
         context: ssl.SSLContext | None = None,
@@ -132,10 +127,9 @@ def load_bundle(context: ssl.SSLContext, bundle: bytes) -> None:
 
 
 class ScannerClient:
-    """Has pictures read by the scanner process: one at a time for the whole console, a few a second.
+    """Has pictures read by the scanner process: one at a time for the whole console, a few a second."""
 
-    A camera sends the next one anyway, and whoever has a session shall not occupy the machine with it.
-    """
+    # A camera sends the next one anyway, and whoever has a session shall not occupy the machine with it.
 
     def __init__(self, sock: socket.socket, interval: float = INTERVAL) -> None:
         self._socket = sock
@@ -151,14 +145,14 @@ class ScannerClient:
             raise RossecError(f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE)
         if self._is_busy:
             raise ScannerBusy("another picture is being read", "wait a moment")
-        answer: asyncio.Future[Answer | None] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[frames.Answer | None] = asyncio.get_running_loop().create_future()
         self._is_busy = True
         # A task of its own: whoever asks may go away, and the next answer is the next picture's.
         self._tasks.spawn(self._work(picture, answer), name="a picture")
         match await answer:
-            case Found(text):
+            case frames.Found(text):
                 return text or None
-            case Unreadable(message, hint):
+            case frames.Unreadable(message, hint):
                 raise RossecError(message, hint)
             case _:
                 raise RossecError("pictures cannot be read any more", _PASTE)
@@ -172,7 +166,7 @@ class ScannerClient:
             self._streams[1].transport.abort()
             await asyncio.sleep(0)
 
-    async def _work(self, picture: bytes, answer: asyncio.Future[Answer | None]) -> None:
+    async def _work(self, picture: bytes, answer: asyncio.Future[frames.Answer | None]) -> None:
         loop = asyncio.get_running_loop()
         try:
             await asyncio.sleep(max(0.0, self._next - loop.time()))
@@ -183,7 +177,7 @@ class ScannerClient:
         if not answer.done():
             answer.set_result(found)
 
-    async def _ask(self, picture: bytes) -> Answer | None:
+    async def _ask(self, picture: bytes) -> frames.Answer | None:
         try:
             async with asyncio.timeout(TIMEOUT):
                 if self._streams is None:
@@ -200,10 +194,7 @@ class ScannerClient:
 
 
 class PreviewClient:
-    """Takes messages from the process of the preview.
-
-    If that process ends, what came fades within a minute, and pages show made-up messages again.
-    """
+    """Takes messages from the process of the preview."""
 
     def __init__(self, sock: socket.socket, now: Callable[[], float] = clock.time) -> None:
         self._socket = sock
@@ -223,11 +214,11 @@ class PreviewClient:
         reader, writer = await asyncio.open_connection(sock=self._socket)
         try:
             while True:
-                self._memory.add(samples.read_preview(await read_frame(reader, samples.preview_size)))
+                self._memory.add(read_preview(await read_frame(reader, preview_size)))
         except KeyMessageRefused as error:
             _log.error("the preview breaks the protocol: %s", error)
         except (asyncio.IncompleteReadError, ConnectionError):
-            _log.warning("the preview has ended")
+            _log.warning("the preview has ended")  # what came fades within a minute: pages make it up again
         finally:
             writer.transport.abort()
 

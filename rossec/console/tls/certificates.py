@@ -216,14 +216,15 @@ def _end(certificate: x509.Certificate) -> int:
 
 
 class TlsSetup(NamedTuple):
+    """Where the certificates come from, and the authority that issues them if it is the console's own."""
+
     source: CertificateSource
     authority: TlsAuthority | None = None
 
 
 def prepare_tls(endpoint: ConsoleEndpoint, directory: Path, now: int, *, rename: bool) -> TlsSetup | None:
-    """The certificates of `endpoint`; None: it does without. An authority for another name is replaced only
-    with `rename`: every phone trusts the old one.
-    """
+    """The certificates of `endpoint`; None: it does without."""
+    # An authority for another name is replaced only with `rename`: every phone trusts the old one.
     if endpoint.tls is Tls.NONE:
         return None
     if endpoint.tls is Tls.OWN:
@@ -243,11 +244,9 @@ Install = Callable[[bytes], Awaitable[None]]
 def renewed_from(
     source: CertificateSource, now: Callable[[], int], period: float = PERIOD
 ) -> Callable[[Install], Coroutine[Any, Any, None]]:
-    """A function that installs the first bundle of `source`, then every newer one, for ever.
+    """A function that installs the first bundle of `source`, then every newer one, for ever."""
 
-    It may be run again: a server that was started anew begins with a first bundle.
-    """
-
+    # It may be run again: a server that was started anew begins with a first bundle.
     async def install_all(install: Install) -> None:
         bundle: bytes | None = await asyncio.to_thread(source.first, now())
         while True:

@@ -97,6 +97,7 @@ def handing_out(
     port: int = HAND_OUT_PORT,
     seconds: float = SECONDS,
 ) -> Iterator[None]:
+    """While it is entered, and for `seconds` at most, hand out the certificate (DER) at `addresses`."""
     listening = listen_tcp(addresses, port)
     descriptors = [sock.fileno() for sock in listening]
     arguments = [",".join(map(str, descriptors)), origin, str(seconds), certificate.hex()]
@@ -120,6 +121,7 @@ def handing_out(
 async def serve(
     listening: list[socket.socket], origin: str, seconds: float, data: bytes, until: BinaryIO
 ) -> None:
+    # Not by the host's clock, which can be set: it would hand out for longer, or not at all.
     end = time.monotonic() + seconds
     server = ConsoleServer(create_hand_out(data, origin, lambda: time.monotonic() > end))
     reader = asyncio.StreamReader()

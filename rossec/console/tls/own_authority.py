@@ -40,14 +40,10 @@ Address = IPv4Address | IPv6Address
 
 @dataclass(frozen=True)
 class TlsAuthority:
-    """The authority with its key.
-
-    `name` and `address` are all that it can certify; `data` is its certificate in DER. Times are
-    seconds since the epoch.
-    """
+    """The authority with its key; `name` and `address` are all that it can certify."""
 
     key: ec.EllipticCurvePrivateKey
-    data: bytes
+    data: bytes  # its certificate in DER
     name: str
     address: Address | None
     not_before: int
@@ -140,6 +136,7 @@ def word_list() -> tuple[str, ...]:
 
 
 def describe(authority: TlsAuthority, now: int) -> list[str]:
+    """Lines for a person at the terminal, who compares the fingerprint with the phone's."""
     pairs = in_hex(authority.data).split(":")
     lines = [":".join(pairs[start : start + _PAIRS]) for start in range(0, len(pairs), _PAIRS)]
     names = authority.name if authority.address is None else f"{authority.name} and {authority.address}"
@@ -157,6 +154,7 @@ def describe(authority: TlsAuthority, now: int) -> list[str]:
 
 
 def as_json(authority: TlsAuthority) -> dict[str, object]:
+    """As `describe`, for programs."""
     return {
         "name": authority.name,
         "address": None if authority.address is None else str(authority.address),

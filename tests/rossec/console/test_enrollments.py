@@ -137,13 +137,13 @@ async def test_a_rejected_node_is_not_approved_afterwards(table: Table) -> None:
         number = enrollments.begin(robot.code)
         found = enrollments.get(number)
         await changes.until(found, Stage.COMPARED)
-        await enrollments.reject(number)
+        await enrollments.get(number).reject()
         enrollments.approved(number, SIGNED)
         assert found.stage is Stage.REJECTED
         with pytest.raises(EnrollmentOver):
-            await enrollments.reject(number)
+            await enrollments.get(number).reject()
     with pytest.raises(RossecError, match="adds no such node"):
-        await enrollments.reject("0" * 32)
+        await enrollments.get("0" * 32).reject()
 
 
 async def test_digits_that_differ_end_the_listening(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:

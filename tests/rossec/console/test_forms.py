@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 from starlette.requests import Request
 
-from rossec.console.rendering import Visit, bytes_field, from_base64url, text_field, to_base64url
+from ca.approvals.passkeys import base64url
+from rossec.console.rendering import Visit, bytes_field, from_base64url, text_field
 from rossec.errors import HttpRefused
 from tests.support.consolepages import Browser
 
@@ -67,8 +68,8 @@ def test_a_text_is_bounded(value: Any) -> None:
 
 def test_bytes_are_base64url_without_padding() -> None:
     for data in (b"a", b"ab", b"abc", bytes(range(256))):
-        assert from_base64url(to_base64url(data)) == data
-        assert bytes_field({"a": to_base64url(data)}, "a") == data
+        assert from_base64url(base64url(data)) == data
+        assert bytes_field({"a": base64url(data)}, "a") == data
 
 
 @pytest.mark.parametrize("text", ["", "A", "YQ==", "YR", "+/+/", "Y Q", "é", "YWI\n"])

@@ -54,7 +54,7 @@ async def test_a_node_without_a_grant_is_ending_too_until_every_node_has_heard()
     assert (await visibility.load(visit(made))).ending == {home.nodes[0].key.hex()}
     made.home.trust_status = made.home.trust_status._replace(nodes_with_list=3)
     assert (await visibility.load(visit(made))).ending == frozenset()
-    made.home.refusals["trust_status"] = KeyServiceRefused("busy")
+    made.home.refusals["trust-status"] = KeyServiceRefused("busy")
     home.nodes[1] = home.nodes[1]._replace(revoked_at=NOW)
     assert (await visibility.load(visit(made))).ending == {home.nodes[1].key.hex()}
 

@@ -5,9 +5,9 @@ from html import unescape
 
 import pytest
 
+from ca.approvals.passkeys import base64url
 from ca.encoding import encode
 from rossec.authority.console.messages import AskedRight, DenialView, EventView, GrantQuestion
-from rossec.console.rendering import to_base64url
 from tests.support.consolehome import HOSTILE, NOW, FakeHome, as_service, crowd, demo, key_of, sees
 from tests.support.consolepages import Browser
 
@@ -28,7 +28,7 @@ def get(home: FakeHome, path: str, **names: str) -> str:
 def test_a_page_of_thirty_nodes_and_forty_topics_is_below_its_limit(path: str) -> None:
     home = crowd(30, 40)
     names = {"topic": "/robot/sensor_00/data", "node": "/a_robot_with_a_long_name"}
-    text = get(home, path, grant=to_base64url(home.grants[0].id), **names)
+    text = get(home, path, grant=base64url(home.grants[0].id), **names)
     assert len(text.encode()) < LIMIT
 
 
@@ -41,7 +41,7 @@ def test_a_page_of_long_names_is_below_its_limit(path: str) -> None:
         home.node(name)
         home.grant(name, *(sees(topic) for topic in topics[at % 4 :: 4]))
     names = {"topic": topics[0], "node": home.nodes[0].name}
-    text = get(home, path, grant=to_base64url(home.grants[0].id), **names)
+    text = get(home, path, grant=base64url(home.grants[0].id), **names)
     assert len(text.encode()) < LIMIT
 
 
@@ -69,8 +69,8 @@ def hostile() -> FakeHome:
 def test_a_hostile_text_is_text_on_every_page(path: str) -> None:
     home = hostile()
     for names in (
-        {"topic": "/robot/pose", "node": "/heating", "grant": to_base64url(home.grants[3].id)},
-        {"topic": LONG, "node": LONG, "grant": to_base64url(home.grants[4].id)},
+        {"topic": "/robot/pose", "node": "/heating", "grant": base64url(home.grants[3].id)},
+        {"topic": LONG, "node": LONG, "grant": base64url(home.grants[4].id)},
     ):
         text = get(home, path, **names)
         scripts = re.findall(r"<script[^>]*>", text)

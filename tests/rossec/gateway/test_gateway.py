@@ -246,7 +246,7 @@ async def test_a_crash_of_one_topic_ends_neither_the_gateway_nor_others(
         def crash(*_: object, **__: object) -> None:
             raise RuntimeError("a mistake")
 
-        monkeypatch.setattr(topic._state, "step", crash)
+        monkeypatch.setattr(topic.state, "step", crash)
         topic._wake.set()
         await until(lambda: "RuntimeError: a mistake" in gateway.skipped.get(POSE, NONE).why)
         await until(lambda: SERVED in node.topics.publishers)

@@ -28,7 +28,7 @@ def program(text: str) -> RuleProcess:
 
 def is_alive(process: RuleProcess) -> bool:
     try:
-        os.kill(process.pid, 0)
+        os.kill(process.worker.pid, 0)
     except ProcessLookupError:
         return False
     return True
@@ -138,8 +138,8 @@ async def test_what_works_for_a_request_ends_with_it() -> None:
     process = RuleProcess()
     asked = asyncio.ensure_future(process.ask(requests.write_request(endless), 60))
     try:
-        await until(lambda: bool(children(process.pid)))
-        (worker,) = children(process.pid)
+        await until(lambda: bool(children(process.worker.pid)))
+        (worker,) = children(process.worker.pid)
     finally:
         asked.cancel()
         await asyncio.gather(asked, return_exceptions=True)

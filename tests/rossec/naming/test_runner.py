@@ -46,7 +46,7 @@ class Started:
         found = 0
         for process in self.processes:
             try:
-                os.kill(process.pid, 0)
+                os.kill(process.worker.pid, 0)
             except ProcessLookupError:
                 continue
             found += 1
@@ -157,8 +157,8 @@ async def test_one_that_ended_while_nobody_asked_is_replaced() -> None:
     async with RuleRunner(RULES, children=2, start=started) as rules:
         await asyncio.gather(rules.name(PHONE), rules.name(PHONE))
         for process in started.processes:
-            os.kill(process.pid, signal.SIGKILL)
-        await until(lambda: all(process.has_ended for process in started.processes))
+            os.kill(process.worker.pid, signal.SIGKILL)
+        await until(lambda: all(process.worker.has_ended for process in started.processes))
         assert await rules.name(PHONE) == NAME
     assert (len(started.processes), started.alive) == (3, 0)
 

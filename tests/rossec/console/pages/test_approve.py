@@ -1,17 +1,17 @@
 """Preparing and approving: the two requests of every kind."""
 
-from rossec.console.rendering import to_base64url
+from ca.approvals.passkeys import base64url
 from rossec.errors import AuthorityLocked
 from tests.support.consolepages import Browser
 
 JSON = {"Accept": "application/json"}
 ASSERTION = {
-    "credential": to_base64url(b"\5" * 32),
-    "clientData": to_base64url(b"{}"),
-    "authenticatorData": to_base64url(b"data"),
-    "signature": to_base64url(b"right"),
+    "credential": base64url(b"\5" * 32),
+    "clientData": base64url(b"{}"),
+    "authenticatorData": base64url(b"data"),
+    "signature": base64url(b"right"),
 }
-FORM = {"proposal": to_base64url(b"\6" * 16)}
+FORM = {"proposal": base64url(b"\6" * 16)}
 
 
 def test_a_form_becomes_a_statement_and_its_assertion_an_approval() -> None:

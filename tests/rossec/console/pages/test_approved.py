@@ -2,17 +2,17 @@
 
 import pytest
 
+from ca.approvals.passkeys import base64url
 from ca.approvals.statement import StatementKind
 from ca.encoding import encode
 from grants.document import from_draft, peek
 from rossec.authority.console.messages import ApprovalOutcome, ApprovalView
-from rossec.console.rendering import to_base64url
 from rossec.console.words import day
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import Browser
 
 NUMBER = b"\7" * 16
-PATH = f"/approved/{to_base64url(NUMBER)}"
+PATH = f"/approved/{base64url(NUMBER)}"
 
 
 def approved(state: str, kind: int = 2, data: bytes = b"", result: str = "") -> Browser:

@@ -2,18 +2,18 @@
 
 import pytest
 
+from ca.approvals.passkeys import base64url
 from ca.errors import HintedError
 from grants.document import scope_of
 from grants.model import Permission, Right
 from rossec.authority.console.messages import FactView, QuestionAnswer
 from rossec.console.pages.decisions import DENIED
-from rossec.console.rendering import to_base64url
 from rossec.console.server.control import WebSettings
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 
-PATH = f"/ask/{to_base64url(bytes([3]) * 16)}"
+PATH = f"/ask/{base64url(bytes([3]) * 16)}"
 
 
 def test_the_heading_is_the_sentence() -> None:
@@ -60,7 +60,7 @@ def test_a_command_looks_different_from_reading() -> None:
     other = question._replace(id=b"\4" * 16, rights=(drive,), coarse=())
     browser.home.rights = (drive,)
     browser.home.questions = [question, other]
-    text = browser.get(f"/ask/{to_base64url(other.id)}").text
+    text = browser.get(f"/ask/{base64url(other.id)}").text
     assert 'class="acts"' in text
     assert "It would act, not only look" in text
     assert "drive: send commands to" in text

@@ -1,14 +1,14 @@
 """Join codes: the form, the code once, and the end of one."""
 
+from ca.approvals.passkeys import base64url
 from rossec.authority.console.messages import ApprovalOutcome
 from rossec.console.pages.adding import ENDED
-from rossec.console.rendering import to_base64url
 from rossec.console.server.control import WebSettings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 
 MADE = b"\x09" * 16
-PATH = f"/invited/{to_base64url(MADE)}"
+PATH = f"/invited/{base64url(MADE)}"
 TEXT = "ROSSEC-JOIN:ABCDEFGH"
 
 
@@ -64,7 +64,7 @@ def test_a_code_that_was_not_made_says_why() -> None:
 def test_ending_one_needs_only_the_session() -> None:
     browser = Browser().log_in("")
     number = browser.home.invitations[0].id
-    answer = browser.post(f"/invite/{to_base64url(number)}/end")
+    answer = browser.post(f"/invite/{base64url(number)}/end")
     assert (answer.status_code, answer.headers["location"]) == (303, "/invite")
     assert browser.asked("end-invitation") == [(number, ENDED)]
     assert "ended: ended at the console" in browser.get("/invite").text

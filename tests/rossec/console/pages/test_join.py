@@ -2,13 +2,13 @@
 
 import pytest
 
-from rossec.console.pages.adding import REJECTED
-from rossec.console.rendering import to_base64url
+from ca.approvals.passkeys import base64url
+from rossec.console.enrollments import REJECTED
 from rossec.console.server.control import WebSettings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 
-PATH = f"/join/{to_base64url(bytes([1]) * 32)}"
+PATH = f"/join/{base64url(bytes([1]) * 32)}"
 
 
 def test_the_card_is_that_of_a_node_that_is_added() -> None:
@@ -16,7 +16,7 @@ def test_the_card_is_that_of_a_node_that_is_added() -> None:
     assert "A node asks to join" in text
     assert "/lamp" in text
     assert "0202 0202" in text
-    assert f'name="request" value="{to_base64url(bytes([1]) * 32)}"' in text
+    assert f'name="request" value="{base64url(bytes([1]) * 32)}"' in text
     assert text.index(">Approve<") < text.index(">Reject<")
 
 

@@ -2,14 +2,15 @@
 
 import pytest
 
+from ca.approvals.passkeys import base64url
 from rossec.console.pages.passkeys import FIRST
-from rossec.console.rendering import from_base64url, to_base64url
+from rossec.console.rendering import from_base64url
 from rossec.errors import KeyServiceFailed
 from tests.support.consolepages import ORIGIN, Browser
 
 
 def b64(data: bytes) -> str:
-    return to_base64url(data)
+    return base64url(data)
 
 
 ASSERTION = {

@@ -1,8 +1,8 @@
 """One node, one grant."""
 
+from ca.approvals.passkeys import base64url
 from rossec.console.matrix import TopicAccess
 from rossec.console.pages.visibility import grant_line, sees
-from rossec.console.rendering import to_base64url
 from tests.support.consolehome import NOW, FakeHome, as_service, crowd, demo
 from tests.support.consolepages import Browser
 
@@ -52,17 +52,17 @@ def test_what_a_node_sees_now_comes_first() -> None:
 def test_a_grant_says_what_it_gives_and_how_it_ends() -> None:
     home = demo()
     coarse = home.grants[3]
-    text = page(home).get(f"/grant/{to_base64url(coarse.id)}").text
+    text = page(home).get(f"/grant/{base64url(coarse.id)}").text
     assert "position to 2 m" in text
     assert "pose.position: round step 2.0" in text
-    assert f'action="/revoke/grant/{to_base64url(coarse.id)}"' in text
-    ended = page(home).get(f"/grant/{to_base64url(home.grants[2].id)}").text
+    assert f'action="/revoke/grant/{base64url(coarse.id)}"' in text
+    ended = page(home).get(f"/grant/{base64url(home.grants[2].id)}").text
     assert "the visit is over" in ended
     assert "/revoke" not in ended
 
 
 def test_a_grant_that_is_not_there_is_no_page() -> None:
-    assert page().get(f"/grant/{to_base64url(b'x' * 16)}").status_code == 404
+    assert page().get(f"/grant/{base64url(b'x' * 16)}").status_code == 404
     assert page().get("/grant/!").status_code in (400, 404)
 
 

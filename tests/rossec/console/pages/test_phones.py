@@ -1,12 +1,12 @@
 """The page of phones: list, link, proposal, removal."""
 
+from ca.approvals.passkeys import base64url
 from rossec.authority.console.messages import Proposal
 from rossec.console.pages.passkeys import REMOVED
-from rossec.console.rendering import to_base64url
 from rossec.console.server.control import WebSettings
 from tests.support.consolepages import ORIGIN, Browser
 
-PHONE = to_base64url(b"\5" * 32)
+PHONE = base64url(b"\5" * 32)
 
 
 def test_phones_are_listed_with_what_waits_to_be_approved() -> None:
@@ -14,7 +14,7 @@ def test_phones_are_listed_with_what_waits_to_be_approved() -> None:
     text = browser.get("/phones").text
     assert "Anna&#39;s phone" in text
     assert 'action="/prepare/passkey" data-approve' in text
-    assert f'name="proposal" value="{to_base64url(bytes([6]) * 16)}"' in text
+    assert f'name="proposal" value="{base64url(bytes([6]) * 16)}"' in text
     assert "123 456" in text
 
 
@@ -52,7 +52,7 @@ def test_removing_another_phone_leads_back() -> None:
 def test_a_phone_whose_digits_differ_is_not_added() -> None:
     browser = Browser().log_in("")
     (proposal,) = browser.home.proposals
-    path = f"/phones/{to_base64url(proposal.id)}/differ"
+    path = f"/phones/{base64url(proposal.id)}/differ"
     assert f'action="{path}"' in browser.get("/phones").text
     answer = browser.post(path)
     assert (answer.status_code, answer.headers["location"]) == (303, "/phones")
@@ -69,11 +69,11 @@ def test_a_new_phone_proposes_its_passkey_and_shows_digits() -> None:
     browser = Browser()
     assert "Set up this phone" in browser.get("/propose").text
     fields = {
-        "id": to_base64url(b"i" * 16),
+        "id": base64url(b"i" * 16),
         "code": browser.home.add_code(),
         "name": "Ben's phone",
-        "clientData": to_base64url(b"{}"),
-        "attestation": to_base64url(b"object"),
+        "clientData": base64url(b"{}"),
+        "attestation": base64url(b"object"),
     }
     answer = browser.post("/propose", json=fields)
     assert answer.json() == {"digits": "004 217"}

@@ -2,12 +2,12 @@
 
 import base64
 
+from ca.approvals.passkeys import base64url
 from ca.certificates import build_intermediate_request
 from ca.keys.signing import thumbprint
 from grants.model import Right
 from rossec.authority.console.messages import PolicyRight
 from rossec.console.pages.decisions import sentence
-from rossec.console.rendering import to_base64url
 from rossec.console.server.control import WebSettings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
@@ -21,7 +21,7 @@ def test_what_the_policy_changes_is_approved_as_a_whole() -> None:
     assert "/map" in text
     assert "may see" in text
     assert 'action="/prepare/policy" data-approve' in text
-    assert f'name="digest" value="{to_base64url(bytes([8]) * 32)}"' in text
+    assert f'name="digest" value="{base64url(bytes([8]) * 32)}"' in text
 
 
 def test_mistakes_are_shown_and_nothing_is_approved() -> None:

@@ -2,15 +2,15 @@
 
 import pytest
 
+from ca.approvals.passkeys import base64url
 from rossec.authority.console.messages import ListProgress
 from rossec.console.pages.decisions import REFRESH
-from rossec.console.rendering import to_base64url
 from rossec.console.server.control import WebSettings
 from tests.support.consolepages import ORIGIN, Browser
 
 
 def grant_of(browser: Browser) -> str:
-    return to_base64url(browser.home.grants[1].id)
+    return base64url(browser.home.grants[1].id)
 
 
 def test_a_grant_is_ended_with_a_reason() -> None:
@@ -105,7 +105,7 @@ def test_the_ticks_come_as_they_are_true(trust_status: ListProgress, ticks: int,
     assert says in answer.text
     assert answer.headers.get("refresh") == (None if ticks == 3 else str(REFRESH))
     # The third tick is remembered, of all that was ended before.
-    assert browser.asked("trust_status") == [(1, 4)] + [(0, 0)] * (ticks == 3)
+    assert browser.asked("trust-status") == [(1, 4)] + [(0, 0)] * (ticks == 3)
     if trust_status.nodes:
         assert f"{trust_status.nodes_with_list} of 3 nodes have it" in answer.text
 

@@ -2,11 +2,11 @@
 
 import pytest
 
+from ca.approvals.passkeys import base64url
 from ca.encoding import encode
 from grants.model import Right
 from rossec.authority.console.messages import AskedRight, GrantQuestion, IdentityRequestView, Proposal
 from rossec.console.pages.today import TodayCounts, counts
-from rossec.console.rendering import to_base64url
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import NOW, FakeHome, as_service, demo
 from tests.support.consolepages import Browser
@@ -100,7 +100,7 @@ def test_it_says_ending_until_every_node_has_heard() -> None:
     away = page()
     away.home.refusals["graph"] = KeyServiceRefused("no master answers")
     assert 'class="is-ending"' in away.get("/").text
-    assert away.asked("trust_status") == [], "the page does not wait twice for a master that is away"
+    assert away.asked("trust-status") == [], "the page does not wait twice for a master that is away"
     made.home.refusals["graph"] = KeyServiceRefused("no master answers")
     assert 'class="is-ended"' in made.get("/").text, "it was heard before"
     told = page()
@@ -123,13 +123,13 @@ def test_a_grant_and_a_node_that_are_ending_say_so() -> None:
     home.nodes[2] = home.nodes[2]._replace(revoked_at=NOW - 60, reason="sold")
     made = page(home)
     made.home.trust_status = made.home.trust_status._replace(is_at_master=False)
-    grant = made.get(f"/grant/{to_base64url(home.grants[2].id)}").text
+    grant = made.get(f"/grant/{base64url(home.grants[2].id)}").text
     assert "may do until every node has heard" in grant
     assert "might" not in grant
     assert "Being removed" in made.get("/node/heating").text
     made.home.trust_status = made.home.trust_status._replace(is_at_master=True)
     made.now += 1
-    assert "was allowed</h1>" in made.get(f"/grant/{to_base64url(home.grants[2].id)}").text
+    assert "was allowed</h1>" in made.get(f"/grant/{base64url(home.grants[2].id)}").text
     assert "Being removed" not in made.get("/node/heating").text
 
 

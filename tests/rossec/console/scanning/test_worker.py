@@ -101,7 +101,7 @@ def test_what_is_given_up_does_not_depend_on_the_kernel(
 
 def test_the_libraries_are_loaded_before_the_process_is_confined(monkeypatch: pytest.MonkeyPatch) -> None:
     steps: list[str] = []
-    monkeypatch.setattr(worker, "protect_memory", lambda: steps.append("protected"))
+    monkeypatch.setattr(sandbox, "protect_memory", lambda: steps.append("protected"))
     monkeypatch.setattr(worker, "answer", lambda _: steps.append("loaded"))
     monkeypatch.setattr(worker, "confine", lambda: steps.append("confined"))
     monkeypatch.setattr(worker, "serve", lambda *_: steps.append("serves"))

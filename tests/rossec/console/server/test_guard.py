@@ -9,17 +9,7 @@ import pytest
 from starlette.responses import PlainTextResponse, Response
 
 from rossec.console import app as module
-from rossec.console.app import (
-    HEADERS,
-    HSTS,
-    IMMUTABLE,
-    ROUTES,
-    RULES,
-    Allowed,
-    Facts,
-    broken_rule,
-    is_by_person,
-)
+from rossec.console.app import HEADERS, HSTS, IMMUTABLE, ROUTES, RULES, Facts, broken_rule, is_by_person
 from rossec.console.rendering import PUBLIC, SESSION, Match, Page, PageAccess, PageTable
 from rossec.console.server.control import WebSettings
 from rossec.console.sessions import COOKIE, KnownPhones
@@ -28,7 +18,7 @@ from tests.support.consolepages import ORIGIN, Browser
 
 METHODS = ("DELETE", "PATCH", "POST", "PUT", "TRACE", "OPTIONS", "GET")
 CASES = [(page, method) for page in ROUTES for method in page.methods]
-ALLOWED = Allowed(frozenset({"localhost:7411"}), (ORIGIN,))
+ALLOWED = WebSettings("home", (ORIGIN,))
 
 
 def named(value: object) -> str:
