@@ -205,6 +205,8 @@ class BorderNode(Node):
 
 
 class BorderRouter:
+    """Serves things at UDP `host` and `port` as ROS nodes of this border router, which is named `name`."""
+
     def __init__(
         self, name: str, key: StaticKey, environ: Mapping[str, str], host: str, port: int = PORT
     ) -> None:

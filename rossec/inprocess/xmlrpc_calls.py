@@ -24,15 +24,8 @@ from ca.names import origin_of, shown
 from grants.model import Right
 from grants.request import is_dispensable, missing_right
 from grants.request import refusal as request_refusal
+from rossec import errors
 from rossec.channel.opening import REFUSAL, WireProtocol
-from rossec.errors import (
-    ChannelClosed,
-    ChannelError,
-    ConfigurationError,
-    HttpRefused,
-    PlainPeer,
-    XmlRpcRefused,
-)
 from rossec.inprocess.identity import CONNECT_TIMEOUT, PlainSocketStream, Stream, now, peek
 from rossec.inprocess.process import REGISTRATIONS, SecuredProcess
 from rossec.inprocess.sockets import bracketed
@@ -98,7 +91,7 @@ class XmlRpcServer:
             if self._is_master(peer):
                 stream.raise_unit_limit()
             self._serve(server, stream, peer)
-        except ChannelClosed:
+        except errors.ChannelClosed:
             pass
         except (HintedError, TimeoutError) as error:
             self._process.reporter.warn(f"refused {caller}", error)
@@ -114,8 +107,8 @@ class XmlRpcServer:
                 request = _next_request(calls, stream, end)
                 stream.settimeout(REQUEST_DEADLINE)
                 stream.sendall(self._answer(server, calls, request, peer, presented))
-        except HttpRefused as error:
-            with suppress(ChannelError, OSError):
+        except errors.HttpRefused as error:
+            with suppress(errors.ChannelError, OSError):
                 stream.sendall(calls.refuse(error.status))
 
     def _answer_plain(self, request: socket.socket, address: str) -> None:
@@ -145,7 +138,7 @@ class XmlRpcServer:
             return calls.respond(self._value(server, call.method, call.params, peer, presented))
         except Fault as fault:  # too long
             return calls.respond(fault)
-        except XmlRpcRefused as error:
+        except errors.XmlRpcRefused as error:
             return calls.respond(Fault(FAULT_CODE, str(error)))
 
     def _value(
@@ -242,7 +235,7 @@ def receive_some(stream: Stream | PlainSocketStream, end: float | None) -> bytes
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.receive_unit()
     if not data:
-        raise ChannelClosed("the peer closed the connection")
+        raise errors.ChannelClosed("the peer closed the connection")
     return bytes(data)
 
 
@@ -297,7 +290,7 @@ class XmlRpcClient:
             )
         try:
             return _stock_types(self._call_node(uri, method, params))
-        except PlainPeer as error:  # rospy tries again after this one
+        except errors.PlainPeer as error:  # rospy tries again after this one
             raise ConnectionRefusedError(errno.ECONNREFUSED, self._report_refusal(uri, error)) from error
         except HintedError as error:
             raise ConnectionAbortedError(errno.ECONNABORTED, self._report_refusal(uri, error)) from error
@@ -376,7 +369,7 @@ class XmlRpcClient:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
             stream = self._process.connector.initiate(sock, WireProtocol.HTTP, address)
-        except PlainPeer:
+        except errors.PlainPeer:
             if not self._process.plain or method != "requestTopic" or is_forwarded_port(uri):
                 raise
             return self._call_plain(address, _named(method, params, local_identity.name), params)
@@ -403,7 +396,7 @@ class XmlRpcClient:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         with sock:
             if not self._process.allows_plain(str(params[1]), sock.getpeername()[0]):
-                raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
+                raise errors.PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
             calls = CallClient(_host(address), compact=False)
             return _exchange(PlainSocketStream(sock), calls, "requestTopic", named)
 
@@ -422,7 +415,7 @@ def _named(method: str, params: Params, caller: str, peer: Identity | None = Non
 def _address(uri: str) -> tuple[str, int] | None:
     try:
         return parse_uri(uri)
-    except ConfigurationError:
+    except errors.ConfigurationError:
         return None
 
 

@@ -16,18 +16,10 @@ from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from ca.names import shown
 from ca.revocation.trust_status import TrustStatus
-from rossec import clock
+from rossec import clock, errors
 from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.opening import post_quantum
 from rossec.environment import own_home, own_master
-from rossec.errors import (
-    AnswerMalformed,
-    AnswerRefused,
-    ChannelClosed,
-    RelayRefused,
-    RossecError,
-    StreamRefused,
-)
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.master.state.registry import is_connectable
@@ -116,7 +108,7 @@ class RelayMember:
         self._links.add(link)
         link.when_closed(partial(self._forget, link))
         if self._failed:
-            raise ChannelClosed("the relay has failed")
+            raise errors.ChannelClosed("the relay has failed")
         try:
             self.check_peer(link.peer)
         except RevocationsStale:
@@ -221,14 +213,14 @@ class MasterLink:
     async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
         try:
             answer = await self._ask(domain, kind, name)
-        except (AnswerRefused, Fault) as error:
+        except (errors.AnswerRefused, Fault) as error:
             text = error.faultString if isinstance(error, Fault) else error
-            raise StreamRefused(printable(f"{self.name}: {text}")) from error
+            raise errors.StreamRefused(printable(f"{self.name}: {text}")) from error
         match answer:
             case [str() as host, int() as port] if is_connectable(build_forwarded_port(host, port), "http"):
                 return host, port
             case _:
-                raise AnswerMalformed(f"{self.name} says that a target is nowhere")
+                raise errors.AnswerMalformed(f"{self.name} says that a target is nowhere")
 
     async def _ask(self, domain: str, kind: str, name: str) -> object:
         for _ in range(2):  # the master ends a connection that was silent for long
@@ -239,7 +231,7 @@ class MasterLink:
                 client = self._asking
             try:
                 return await client.ask(RELAY_TARGET, self._relay, domain, kind, name)
-            except RossecError:
+            except errors.RossecError:
                 if client is not kept or not client.closed:
                     raise
         raise CallFailed(f"{self.name} ends every connection")
@@ -250,7 +242,7 @@ class MasterLink:
         # A master answers for its site: a node with an anonymous name, or another domain's, must not.
         if peer.is_foreign or peer.wildcard or peer.name != self.name:
             stream.abort("not the master of this relay")
-            raise RelayRefused(
+            raise errors.RelayRefused(
                 f"{shown(peer.name)} answers at the address of {self.name}",
                 "check ROS_MASTER_URI, and the URIs in: rossec federation list",
             )
@@ -338,14 +330,14 @@ class OwnMasters:
             links = [self._links[name]] if name in self._links else []
         else:
             links = list(self._links.values())
-        refusal: HintedError = RelayRefused(f"no {kind} {name} is shown there")
+        refusal: HintedError = errors.RelayRefused(f"no {kind} {name} is shown there")
         for link in links:
             try:
                 return await link.target(domain, kind, name)
             except HintedError as error:
                 refusal = error
             except (OSError, TimeoutError) as error:
-                refusal = RelayRefused(f"{link.name} does not answer: {error}")
+                refusal = errors.RelayRefused(f"{link.name} does not answer: {error}")
         raise refusal
 
     def status(self) -> dict[str, str]:

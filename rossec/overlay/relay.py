@@ -19,15 +19,7 @@ from typing import Any, Final, TypeAlias
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import RELAY, is_master_name, pattern_covers, shown
-from rossec.errors import (
-    ChannelError,
-    HandshakeFailed,
-    HandshakeTimeout,
-    OverlayUnavailable,
-    PeerRefused,
-    RelayRefused,
-    StreamRefused,
-)
+from rossec import errors
 from rossec.host.local_ports import PortAdmission
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import PeerWay
@@ -81,7 +73,7 @@ class PeerLink:
         self.stream: SecureStream[Identity] | None = None
         self._streams: Streams | None = None
         self._carrying: asyncio.Task[None] | None = None
-        self._dialling: asyncio.Task[Streams | RelayRefused] | None = None
+        self._dialling: asyncio.Task[Streams | errors.RelayRefused] | None = None
         self._pause = 0.0
         self._said = ""  # in the log, of a failure that goes on
         self._not_before = 0.0
@@ -105,11 +97,11 @@ class PeerLink:
                 if self._dialling is None:
                     # Those who ask soon after a failure are told it at once: nodes try again by themselves.
                     if self._clock() < self._not_before:
-                        raise RelayRefused(self.error, self.hint)
+                        raise errors.RelayRefused(self.error, self.hint)
                     self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
                     self._dialling.add_done_callback(self._dialled)
                 found = await asyncio.shield(self._dialling)
-                if isinstance(found, RelayRefused):
+                if isinstance(found, errors.RelayRefused):
                     raise copy(found)  # others wait for it too
                 streams = found
         except BaseException:
@@ -128,10 +120,10 @@ class PeerLink:
 
     # -- making one
 
-    async def _make(self) -> Streams | RelayRefused:
+    async def _make(self) -> Streams | errors.RelayRefused:
         try:
             stream = await self._dial(self.peer)
-        except (TimeoutError, HandshakeTimeout):  # nobody reads that inbox
+        except (TimeoutError, errors.HandshakeTimeout):  # nobody reads that inbox
             return self._failed(f"{self.peer.label} does not answer", _SILENT)
         except HintedError as error:
             return self._failed(str(error), error.hint)
@@ -148,14 +140,14 @@ class PeerLink:
     def _dialled(self, _: object) -> None:
         self._dialling = None
 
-    def _failed(self, text: str, hint: str) -> RelayRefused:
+    def _failed(self, text: str, hint: str) -> errors.RelayRefused:
         self._pause = min(max(2 * self._pause, _FIRST_PAUSE), _LONGEST_PAUSE)
         self._not_before = self._clock() + self._pause
         self.error, self.hint = printable(text), printable(hint)
         if self.error != self._said:
             _log.warning("no link to %s: %s (%s)", self.peer.label, self.error, self.hint)
         self._said = self.error
-        return RelayRefused(self.error, self.hint)
+        return errors.RelayRefused(self.error, self.hint)
 
     def _settle(self) -> None:
         self._pause, self._said = 0.0, ""
@@ -163,10 +155,10 @@ class PeerLink:
     async def _run(self, stream: SecureStream[Identity], streams: Streams) -> None:
         try:
             await streams.run()
-        except (HandshakeFailed, PeerRefused) as error:  # whoever is called judges last
+        except (errors.HandshakeFailed, errors.PeerRefused) as error:  # whoever is called judges last
             if self.stream is stream:
                 self._failed(str(error), _ENDED)
-        except (ChannelError, StreamRefused) as error:
+        except (errors.ChannelError, errors.StreamRefused) as error:
             _log.warning("the link to %s ended: %s", self.peer.label, printable(error))
             if self.stream is stream:
                 self.error, self.hint = printable(error), _ENDED
@@ -255,7 +247,7 @@ class Relay:
             key = inbox(self._network.account, bytes.fromhex(peer.box))
             try:
                 self._inboxes[label] = self._network.listen(key, partial(self._serve, peer), label)
-            except OverlayUnavailable as error:  # tried again in a second
+            except errors.OverlayUnavailable as error:  # tried again in a second
                 _log.warning("%s: %s", label, error)
                 continue
             self._peers[label] = peer
@@ -289,14 +281,14 @@ class Relay:
         link = self._links.get(forwarded_port.peer)
         if link is None:
             sock.close()
-            raise RelayRefused(f"no relay is called {forwarded_port.peer} any more")
+            raise errors.RelayRefused(f"no relay is called {forwarded_port.peer} any more")
         await link.carry(forwarded_port.target, sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
         # Say before the handshake what would be less clear after it.
         listed = self._member.trust_status.anchors.listed(peer.domain) if peer.domain else None
         if peer.domain and listed is None:
-            raise RelayRefused(
+            raise errors.RelayRefused(
                 f"no trusted domain is called {peer.domain}",
                 "at this side's authority: rossec domain accept DESCRIPTOR",
             )
@@ -305,7 +297,7 @@ class Relay:
             # The options that admit whom the list admits, and so its relays too, but nobody else.
             nodes = [each for each in admitted if not is_master_name(each.replace("*", "x"))]
             options = " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
-            raise RelayRefused(
+            raise errors.RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
                 f"at this side's authority: rossec domain limit {peer.domain} {options}",
             )
@@ -346,7 +338,7 @@ class Relay:
         _log.info("link from %s", peer.label)
         try:
             await streams.run()
-        except (ChannelError, StreamRefused) as error:
+        except (errors.ChannelError, errors.StreamRefused) as error:
             _log.info("the link from %s ended: %s", peer.label, printable(error))
         finally:
             called.remove(entry)

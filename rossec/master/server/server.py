@@ -36,18 +36,9 @@ from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.held_grants import verifier
 from rossec.master.rights.renewals import Renewer, TicketSigner
 from rossec.master.rights.statements import TrustState
+from rossec.master.server import maintenance
 from rossec.master.server.answers import Admission, CallAnswers
 from rossec.master.server.effects import Effects, MasterState, OnDenial, ignore_denial
-from rossec.master.server.maintenance import (
-    FindDomains,
-    FindRevocations,
-    Gateways,
-    LocalAuthority,
-    Maintenance,
-    OwnIdentity,
-    no_authority,
-    no_domains,
-)
 from rossec.master.server.saved_state import DepositFile, ListFile, ParameterFile
 from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
@@ -84,7 +75,7 @@ class MasterServer:
         suites: tuple[int, ...] = PRODUCTION,
         timestamp_every: float = TIMESTAMP_EVERY,
         check_own_identity: Callable[[int], None] = lambda _: None,
-        nearby: LocalAuthority | None = None,
+        nearby: maintenance.LocalAuthority | None = None,
         turns: TurnClock | None = None,
     ) -> None:
         self._address = (host, port)
@@ -105,9 +96,13 @@ class MasterServer:
             renews=Identity.renews,
         )
         self.effects: Final = Effects(state, self.context)
-        nearby = LocalAuthority(no_authority, state.trust) if nearby is None else nearby
-        self._maintenance = Maintenance(state, self.effects, timestamp_every, check_own_identity, nearby)
-        self._gateways = Gateways(state, self.effects)
+        nearby = (
+            maintenance.LocalAuthority(maintenance.no_authority, state.trust) if nearby is None else nearby
+        )
+        self._maintenance = maintenance.Maintenance(
+            state, self.effects, timestamp_every, check_own_identity, nearby
+        )
+        self._gateways = maintenance.Gateways(state, self.effects)
         self._admission = Admission(state)
         self._revoked_connections = RevokedConnections()
         self._api: MasterApi  # set by `start`, as it has the port
@@ -252,15 +247,17 @@ def master_of(
     on_denial: OnDenial = ignore_denial,
     limits: MasterLimits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
-    find_revocations: FindRevocations = no_authority,
-    find_domains: FindDomains = no_domains,
+    find_revocations: maintenance.FindRevocations = maintenance.no_authority,
+    find_domains: maintenance.FindDomains = maintenance.no_domains,
 ) -> MasterServer:
-    # The master whose identity is in `home`, not yet started. `host` (ROS_HOSTNAME or ROS_IP) is advertised,
-    # and listened on alone when it is loopback, as in ROS; None: this machine's name, and any address.
-    # `newest` is a revocation list (of a tree, with its `entries`) that may be newer than the one saved, from
-    # an authority on this host. `renewer` renews identities with an intermediate of this host; None: the
-    # authority's service does.
-    anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
+    """The master whose identity is in `home`, not yet started.
+
+    `host` (ROS_HOSTNAME or ROS_IP) is advertised, and listened on alone when it is loopback, as in ROS; None:
+    this machine's name, and any address. `newest` is a revocation list (of a tree, with its `entries`) that
+    may be newer than the one saved, from an authority on this host. `renewer` renews identities with an
+    intermediate of this host; None: the authority's service does.
+    """
+    anchor, own_identity, saved_list = home.anchor(), maintenance.OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
     # 1. The newest revocation list known here.
     revocations = saved_revocations(home, anchor, now)
@@ -318,7 +315,7 @@ def master_of(
         advertise=host or socket.gethostname(),
         suites=suites,
         check_own_identity=maintain,
-        nearby=LocalAuthority(find_revocations, trust, find_domains),
+        nearby=maintenance.LocalAuthority(find_revocations, trust, find_domains),
     )
 
     def answered(key: bytes) -> None:
