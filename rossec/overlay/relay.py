@@ -22,11 +22,11 @@ from ca.names import RELAY, is_master_name, pattern_covers, shown
 from rossec import errors
 from rossec.host.local_ports import PortAdmission
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import PeerWay
+from rossec.master.state.forwarded_ports import PeerWay, Target
 from rossec.net.aio import SecureStream
 from rossec.overlay.documents import Peer, Peers
 from rossec.overlay.endpoint import LinkListener, RouterNetwork, idle_round_trip
-from rossec.overlay.forwarded_ports import ForwardedPortTable, PeerTarget
+from rossec.overlay.forwarded_ports import ForwardedPortTable
 from rossec.overlay.link_frames import inbox
 from rossec.overlay.masters import OwnMasters, RelayMember
 from rossec.overlay.mux import Role, StreamTarget
@@ -277,12 +277,12 @@ class Relay:
 
     # -- links
 
-    async def _carry(self, forwarded_port: PeerTarget, sock: socket.socket) -> None:
-        link = self._links.get(forwarded_port.peer)
+    async def _carry(self, target: Target, sock: socket.socket) -> None:
+        link = self._links.get(target.peer)
         if link is None:
             sock.close()
-            raise errors.RelayRefused(f"no relay is called {forwarded_port.peer} any more")
-        await link.carry(forwarded_port.target, sock)
+            raise errors.RelayRefused(f"no relay is called {target.peer} any more")
+        await link.carry(StreamTarget(target.kind, target.name), sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
         # Say before the handshake what would be less clear after it.
@@ -363,7 +363,7 @@ class Relay:
                 }
                 for label, link in sorted(self._links.items())
             ],
-            "forwarded_ports": len(self._table),
+            "forwarded_ports": len(self._table.wanted),
             "problem": self._problem,
         }
 
