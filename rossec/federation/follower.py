@@ -19,16 +19,14 @@ from typing import Any, Final
 from ca.certificates import Identity
 from ca.errors import CAError, HintedError, RevocationsStale
 from ca.names import shown, split_alias
-from rossec import errors
+from rossec import errors, peer_limits
 from rossec.federation import exchange, site_state
 from rossec.federation.exchange import LONGEST_FOREIGN, ForeignLists, Mirroring, OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.master.state.forwarded_ports import MASTER, MAX_FORWARDED_PORTS, ForwardedPorts, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc import RpcClient
-from rossec.peer_limits import printable
-from rossec.ros.names import PRESENT_GRANTS
-from rossec.ros.xmlrpc import Fault
+from rossec.ros import names, xmlrpc
 
 FORWARDED_PORT_WAIT: Final = (
     5.0  # seconds for the master's forwarded port: a relay that polls opens it at once
@@ -179,7 +177,7 @@ _AT_FORWARDED_PORT: Final = (
     errors.HandshakeFailed,
     errors.PeerUnreachable,
 )  # of a relay without a link
-Failures: Final = (HintedError, OSError, TimeoutError, Fault)
+Failures: Final = (HintedError, OSError, TimeoutError, xmlrpc.Fault)
 
 
 class FollowedSite:
@@ -266,7 +264,7 @@ class FollowedSite:
                     # Who mirrors parameters shows its grants: they decide what it may read.
                     tokens = self._own.grants() if self.settings.parameters else ()
                     if tokens := list(tokens)[: exchange.MAX_PRESENTED]:
-                        await client.ask(PRESENT_GRANTS, self._own.name, tokens)
+                        await client.ask(names.PRESENT_GRANTS, self._own.name, tokens)
                     await exchange.settle(client, self._own, peer)
             try:
                 await self._poll(client, peer)
@@ -297,7 +295,7 @@ class FollowedSite:
             try:
                 await self._mirroring.keep(client)
             except (errors.AnswerRefused, errors.ImportRefused) as error:
-                self.error, self.hint = printable(str(error)), printable(error.hint)
+                self.error, self.hint = peer_limits.printable(str(error)), peer_limits.printable(error.hint)
 
     async def _pace(self) -> None:
         await asyncio.sleep(self._asked_at + PACE - time.monotonic())
@@ -365,12 +363,12 @@ class FollowedSite:
         self._deliver(events)
 
     def _report(self, event: site_state.SiteEvent, error: BaseException) -> None:
-        text = printable(str(error)) or type(error).__name__
+        text = peer_limits.printable(str(error)) or type(error).__name__
         if text != self.error:
             _log.warning("site %s: %s", self.settings.label, text)
         if event is not site_state.SiteEvent.FAILED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
-        self.error, self.hint = text, printable(self._advice(error))
+        self.error, self.hint = text, peer_limits.printable(self._advice(error))
         self._take(event)
 
     def _advice(self, error: BaseException) -> str:

@@ -31,9 +31,7 @@ from rossec.inprocess.process import REGISTRATIONS, SecuredProcess
 from rossec.inprocess.sockets import bracketed
 from rossec.net.limits import UNSHOWN_BODY
 from rossec.net.rpc import AT_ONCE, CALL_DEADLINE, REQUEST_DEADLINE
-from rossec.participant import slave_api
-from rossec.participant.access import wire_name
-from rossec.participant.handshakes import answer_for, answer_here, offer_refusal
+from rossec.participant import access, handshakes, slave_api
 from rossec.participant.registrations import (
     REFUSED,
     SEARCH,
@@ -47,9 +45,8 @@ from rossec.participant.registrations import (
     unheard_refusal,
 )
 from rossec.participant.slave_api import SLAVE_CALLS, check_slave_call, ports_answer, refusal, topic_offer
-from rossec.ros import names
+from rossec.ros import http, names
 from rossec.ros.calls import CallClient, CallServer, value_in, value_steps
-from rossec.ros.http import Oversized
 from rossec.ros.names import PRESENT_GRANTS, SIGNED_UPDATES, is_forwarded_port, parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Call, Encoded, Fault
 
@@ -129,7 +126,7 @@ class XmlRpcServer:
         self,
         server: Any,
         calls: CallServer,
-        request: bytes | Oversized,
+        request: bytes | http.Oversized,
         peer: Identity,
         presented: CallGrants,
     ) -> bytes:
@@ -194,15 +191,15 @@ class XmlRpcServer:
             self._process.registrations.set_publishers(params[1], params[2])
         match server._dispatch(method, params):  # noqa: SLF001 - stock's handler
             case [code, status, value]:
-                return [code, status, answer_for(peer, method, value)]
+                return [code, status, handshakes.answer_for(peer, method, value)]
             case answer:
                 return list(answer)
 
 
-def _load(calls: CallServer, request: bytes | Oversized, *, master: bool) -> Call:
+def _load(calls: CallServer, request: bytes | http.Oversized, *, master: bool) -> Call:
     # Threads that parse share the interpreter with those that publish, each with one share: so all callers
     # together have one. The master does not wait behind them.
-    if master or isinstance(request, Oversized) or len(request) <= AT_ONCE:
+    if master or isinstance(request, http.Oversized) or len(request) <= AT_ONCE:
         return calls.load(request)
     return in_steps(calls.load_steps(request, UNSHOWN_BODY), _parsing)
 
@@ -220,7 +217,7 @@ def in_steps(steps: Generator[None, None, ResultT], turn: Lock) -> ResultT:
 
 def _next_request(
     calls: CallServer, stream: Stream | PlainSocketStream, end: float | None
-) -> bytes | Oversized:
+) -> bytes | http.Oversized:
     request = calls.take()
     while request is None:
         waiting = end
@@ -279,7 +276,7 @@ class XmlRpcClient:
             if method == _MULTICALL:
                 return self._multicall(params)
             named, key = self._with_own_name(method, params), searched_key(method, params)
-            refused = offer_refusal(method, named)
+            refused = handshakes.offer_refusal(method, named)
             if refused is not None:  # rospy.set_param ignores the answer
                 self._process.reporter.warn(f"{method}: {str(refused[1]).removeprefix(REFUSED)}")
                 return refused
@@ -386,7 +383,7 @@ class XmlRpcClient:
             match answer:
                 case [1, status, value]:
                     domain = local_identity.identity.domain
-                    return [1, status, answer_here(peer, domain, method, value)]
+                    return [1, status, handshakes.answer_here(peer, domain, method, value)]
                 case _:
                     return answer
         finally:
@@ -406,7 +403,7 @@ def _named(method: str, params: Params, caller: str, peer: Identity | None = Non
         case _, ():
             return ()
         case "requestTopic", (_, str() as topic, *rest):
-            named = origin_of(topic) if peer is None else wire_name(peer, topic)
+            named = origin_of(topic) if peer is None else access.wire_name(peer, topic)
             return (caller, named, *rest)
         case _:
             return (caller, *params[1:])

@@ -20,15 +20,11 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import RELAY, is_master_name, pattern_covers, shown
 from rossec import errors
-from rossec.host.local_ports import PortAdmission
-from rossec.host.runner import TaskSet
+from rossec.host import local_ports, runner
 from rossec.master.state.forwarded_ports import PeerWay, Target
 from rossec.net.aio import SecureStream
+from rossec.overlay import endpoint, forwarded_ports, link_frames, masters
 from rossec.overlay.documents import Peer, Peers
-from rossec.overlay.endpoint import LinkListener, RouterNetwork, idle_round_trip
-from rossec.overlay.forwarded_ports import ForwardedPortTable
-from rossec.overlay.link_frames import inbox
-from rossec.overlay.masters import OwnMasters, RelayMember
 from rossec.overlay.mux import Role, StreamTarget
 from rossec.overlay.streams import Pump, Streams
 from rossec.overlay.targets import LinkPeer as RemoteRelay
@@ -69,7 +65,7 @@ class PeerLink:
         self.peer: Final = peer
         self.error = self.hint = ""  # why there is no link, though one was wanted
         self._dial, self._clock = dial, clock
-        self._tasks = TaskSet()
+        self._tasks = runner.TaskSet()
         self.stream: SecureStream[Identity] | None = None
         self._streams: Streams | None = None
         self._carrying: asyncio.Task[None] | None = None
@@ -131,7 +127,9 @@ class PeerLink:
             return self._failed(f"no link to {self.peer.label}: {error}", _SILENT)
         self.error = self.hint = ""
         self._not_before = 0.0
-        streams = Streams(stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream))
+        streams = Streams(
+            stream, Role.CALLER, self.peer.label, round_trip=partial(endpoint.idle_round_trip, stream)
+        )
         self.stream, self._streams = stream, streams
         self._carrying = self._tasks.spawn(self._run(stream, streams), f"to {self.peer.label}")
         _log.info("link to %s", self.peer.label)
@@ -173,21 +171,21 @@ class Relay:
 
     def __init__(
         self,
-        member: RelayMember,
-        network: RouterNetwork,
-        admission: PortAdmission,
+        member: masters.RelayMember,
+        network: endpoint.RouterNetwork,
+        admission: local_ports.PortAdmission,
         read_peers: Callable[[], Peers],
     ) -> None:
         self._member, self._network, self._read_peers = member, network, read_peers
         self._peers: dict[str, Peer] = {}
         self._links: dict[str, PeerLink] = {}
-        self._inboxes: dict[str, LinkListener[Identity]] = {}
+        self._inboxes: dict[str, endpoint.LinkListener[Identity]] = {}
         self._called: dict[str, list[tuple[SecureStream[Identity], Streams]]] = {}
-        self._table: Final = ForwardedPortTable(admission, self._carry, self.ways)
-        self._masters = OwnMasters(member, secrets.token_hex(16), self._table)
+        self._table: Final = forwarded_ports.ForwardedPortTable(admission, self._carry, self.ways)
+        self._masters = masters.OwnMasters(member, secrets.token_hex(16), self._table)
         ports = TopicPorts(member.context, member.name, member.access.check_peer)
         self._targets = Targets(self._masters.target, ports)
-        self._tasks = TaskSet(self._crashed)
+        self._tasks = runner.TaskSet(self._crashed)
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._problem = ""
 
@@ -244,7 +242,7 @@ class Relay:
             await self._drop(label)
         for label in found.keys() - self._peers.keys():
             peer = found[label]
-            key = inbox(self._network.account, bytes.fromhex(peer.box))
+            key = link_frames.inbox(self._network.account, bytes.fromhex(peer.box))
             try:
                 self._inboxes[label] = self._network.listen(key, partial(self._serve, peer), label)
             except errors.OverlayUnavailable as error:  # tried again in a second
@@ -328,7 +326,7 @@ class Relay:
             self._member.check_target(stream.peer, target.kind)
             return await dial(target, pump)
 
-        round_trip = partial(idle_round_trip, stream)
+        round_trip = partial(endpoint.idle_round_trip, stream)
         streams = Streams(stream, Role.CALLED, peer.label, connect, round_trip=round_trip)
         entry = stream, streams
         called = self._called.setdefault(peer.label, [])

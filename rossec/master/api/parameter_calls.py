@@ -19,8 +19,7 @@ from grants.model import Right
 from rossec.master.api import methods
 from rossec.master.rights.access_rules import require_address, require_capacity
 from rossec.master.rights.caller import Caller, Refused, refusals_answered
-from rossec.master.state import parameters
-from rossec.master.state.journals import ParameterChange
+from rossec.master.state import journals, parameters
 from rossec.master.state.registry import Kind, NodeRef
 from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
@@ -156,7 +155,7 @@ class ParameterCalls:
             self._account(caller, size)
         except (TypeError, ValueError) as error:
             return methods.Reply(0, f"Error: invalid arguments: {error}", -1)
-        persist = methods.PersistParameter(ParameterChange(key, value))
+        persist = methods.PersistParameter(journals.ParameterChange(key, value))
         events = self._updates(key, value, request.now, setter=caller.name)
         return methods.Reply(0, f"parameter {key} set", events=(persist, *events))
 
@@ -178,7 +177,7 @@ class ParameterCalls:
         except parameters.ParameterMissing:
             return methods.Reply(0, f"parameter [{key}] is not set", -1)
         self._account(request.caller, before)
-        persist = methods.PersistParameter(ParameterChange(key, deleted=True))
+        persist = methods.PersistParameter(journals.ParameterChange(key, deleted=True))
         events = self._updates(key, {}, request.now, setter=None)
         return methods.Reply(0, f"parameter {key} deleted", events=(persist, *events))
 

@@ -12,11 +12,9 @@ from ca.errors import HintedError
 from ca.names import is_alias
 from grants.model import Grant, Right
 from rossec.master.api import methods
+from rossec.master.rights import held_grants, revocation_lists
 from rossec.master.rights.caller import CertifiedPeer, Refused, refusals_answered
-from rossec.master.rights.held_grants import DeliveryState
-from rossec.master.rights.revocation_lists import RevocationQueries
-from rossec.master.state.journals import ID_SIZE
-from rossec.master.state.registry import Kind
+from rossec.master.state import journals, registry
 
 PRESENT_LIMIT: Final = 64
 RENEW_LIMIT: Final = 16
@@ -46,7 +44,7 @@ class StatementCalls:
         self._tables = tables
         self._trust = tables.trust
         self._deposits = tables.deposits
-        self._queries = RevocationQueries(started)
+        self._queries = revocation_lists.RevocationQueries(started)
         self._connected = connected
 
     def present(self, request: methods.CallRequest) -> methods.Steps:
@@ -110,7 +108,7 @@ class StatementCalls:
         if caller.may(Right.ADMIN, self._tables.name):
             entries = self._trust.revoked()
         else:
-            keys = (key for kind in Kind for key in self._tables.registry.keys_of(caller.name, kind))
+            keys = (key for kind in registry.Kind for key in self._tables.registry.keys_of(caller.name, kind))
             names = [name for key in keys if (name := key.removesuffix("/"))]
             entries = yield from self._trust.pertaining(caller, names)
         requester = caller.thumbprint + caller.name.encode()
@@ -171,21 +169,21 @@ class StatementCalls:
         return methods.Reply(reasons, status, events=(event,) if holders else ())
 
     def fetch(self, request: methods.CallRequest) -> methods.Reply:
-        known = frozenset(_split(request.binary(1), ID_SIZE, KNOWN_LIMIT))
+        known = frozenset(_split(request.binary(1), journals.ID_SIZE, KNOWN_LIMIT))
         found = self._deposits.missing(request.caller.thumbprint, known, request.now, self._trust.revoked())
         return methods.Reply({"grants": found.grants, "more": found.more}, "grants")
 
     def delivery_states(self, request: methods.CallRequest) -> methods.Reply:
         entries = request.binaries(1)
-        if any(len(entry) != ID_SIZE + _HOLDER_SIZE for entry in entries):
+        if any(len(entry) != journals.ID_SIZE + _HOLDER_SIZE for entry in entries):
             raise Refused("a grant is named by its id and the thumbprint of its holder's key")
         self._deposits.drop_ended(request.now, self._trust.revoked())
         return methods.Reply([self._state(entry).value for entry in entries], "states")
 
-    def _state(self, entry: bytes) -> DeliveryState:
-        grant_id, holder = entry[:ID_SIZE], entry[ID_SIZE:]
+    def _state(self, entry: bytes) -> held_grants.DeliveryState:
+        grant_id, holder = entry[: journals.ID_SIZE], entry[journals.ID_SIZE :]
         if self._trust.has_presented(holder, grant_id):
-            return DeliveryState.HELD
+            return held_grants.DeliveryState.HELD
         return self._deposits.state(grant_id)
 
     def renew_identity(self, request: methods.CallRequest) -> methods.Reply:

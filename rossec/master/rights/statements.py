@@ -17,21 +17,17 @@ from ca.domains import Anchors
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signing import Signer
 from ca.names import MASTER, REMOTE, is_alias, shown
-from ca.revocation.lists import digest
-from ca.revocation.trust_status import Revocations, TrustStatus
+from ca.revocation import lists, trust_status
 from grants.errors import GrantError
 from grants.model import Grant, Right
 from grants.token import Verifier, peek
-from rossec.master.rights import held_grants
-from rossec.master.rights.access_rules import is_authority, may_subscribe
+from rossec.master.rights import access_rules, domain_trust, held_grants, revocation_lists
 from rossec.master.rights.caller import Caller, CertifiedPeer
-from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.renewals import IdentityRenewals, RenewalAnswer, Renewer, TicketSigner
-from rossec.master.rights.revocation_lists import ListInForce, entries_of, pertaining
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 
-class TrustState(ListInForce):
+class TrustState(revocation_lists.ListInForce):
     """Revocations and presented grants: who is still trusted, and for what."""
 
     # `renewer` renews identities at once; None: the authority's service does.
@@ -39,17 +35,19 @@ class TrustState(ListInForce):
         self,
         anchor: TrustAnchor,
         signer: Signer,
-        revocations: Revocations,
+        revocations: trust_status.Revocations,
         persist: Callable[[bytes], None],
         delegate: TicketSigner | None = None,
         persist_entries: Callable[[bytes], object] = lambda _data: None,
         renewer: Renewer | None = None,
-        domains: DomainTrust | None = None,
+        domains: domain_trust.DomainTrust | None = None,
     ) -> None:
         super().__init__(anchor, signer, revocations, persist, persist_entries)
         self.identities: Final = IdentityRenewals(anchor, renewer)
         self._delegate = TicketSigner(anchor, signer) if delegate is None else delegate
-        self.domains: Final = domains or DomainTrust(TrustStatus(Anchors(anchor), revocations))
+        self.domains: Final = domains or domain_trust.DomainTrust(
+            trust_status.TrustStatus(Anchors(anchor), revocations)
+        )
         self._judge = held_grants.Judge(anchor.domain, self._check_grant, self.domains.domain_of)
         self._held: dict[bytes, held_grants.PresentedGrants] = {}
         self._held_by_foreigners: dict[tuple[str, bytes], held_grants.PresentedGrants] = {}
@@ -80,7 +78,7 @@ class TrustState(ListInForce):
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
         if peer.name.startswith(MASTER) and self.domains.is_own_master(peer):
             return replace(caller, is_own_master=True)
-        return replace(caller, is_authority=True) if is_authority(peer) else caller
+        return replace(caller, is_authority=True) if access_rules.is_authority(peer) else caller
 
     def admit(self, peer: Identity, now: int) -> None:
         """Return if `peer` may connect; raises as `caller`, or `DomainTrust.admit`."""
@@ -148,7 +146,7 @@ class TrustState(ListInForce):
 
     def pertaining(self, caller: Caller, names: Iterable[str]) -> Generator[None, None, frozenset[bytes]]:
         own = caller.thumbprint, self._delegate.id
-        return pertaining(self._revocations.entries, self._known_grants(), own, names)
+        return revocation_lists.pertaining(self._revocations.entries, self._known_grants(), own, names)
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> held_grants.Renewed:
         # In the same order, empty where one is refused.
@@ -187,14 +185,14 @@ class TrustState(ListInForce):
 
     def list_digests(self) -> tuple[bytes, bytes]:
         held = self._revocations
-        own = b"" if held.current is None else digest(held.data)
+        own = b"" if held.current is None else lists.digest(held.data)
         return own, self.domains.digest()
 
     def _list_replaced(self, before: bytes) -> bool:
         self._revoked_grants = {
             grant.id: grant
             for grant in self._known_grants()
-            if not self._revocations.entries.isdisjoint(entries_of(grant))
+            if not self._revocations.entries.isdisjoint(revocation_lists.entries_of(grant))
         }
         self._context = held_grants.NOT_EVALUATED
         return super()._list_replaced(before)
@@ -302,7 +300,7 @@ def enforce(registry: Registry, trust: TrustState, step: EnforcementStep, now: i
         case Kind.PARAMETER:  # something at or below its key; each update is authorized again anyway
             allowed = [caller.may_some_below(Right.PARAM_GET, k.removesuffix("/") or "/") for k in step.keys]
         case Kind.SUBSCRIBER:
-            allowed = [may_subscribe(caller, key) for key in step.keys]
+            allowed = [access_rules.may_subscribe(caller, key) for key in step.keys]
         case kind:
             allowed = [caller.may(_REQUIRED_RIGHTS[kind], key) for key in step.keys]
     uncovered = [key for key, is_allowed in zip(step.keys, allowed, strict=True) if not is_allowed]

@@ -27,8 +27,7 @@ from rossec import files
 from rossec.clock import time as host_time
 from rossec.master.api import methods
 from rossec.master.operation import DENIALS, MasterLimits
-from rossec.master.rights.caller import CertifiedPeer
-from rossec.master.rights.statements import enforce, enforcement_steps
+from rossec.master.rights import caller, statements
 from rossec.master.server.saved_state import DepositFile, ParameterFile
 from rossec.master.server.updates import MAX_CLOSING, LongPolls, SlaveDialer, Updates
 from rossec.master.state.imported_facts import TypeContradicted
@@ -208,7 +207,7 @@ class Effects:
         self._state.notify()
         return outcome.answer
 
-    def evict(self, node: NodeRef, found: CertifiedPeer) -> None:
+    def evict(self, node: NodeRef, found: caller.CertifiedPeer) -> None:
         # Remove a node that registered the address of another node, `found`. Otherwise a node could keep
         # another out by registering its address first.
         self.updates.drop(node)
@@ -298,8 +297,8 @@ class Effects:
         self.list_changed.set()
 
     def enforcement(self) -> Iterator[None]:
-        for step in enforcement_steps(self._state.registry):
-            for event in enforce(self._state.registry, self._state.trust, step, self._state.now()):
+        for step in statements.enforcement_steps(self._state.registry):
+            for event in statements.enforce(self._state.registry, self._state.trust, step, self._state.now()):
                 self.deliver(event)
             yield
 

@@ -14,9 +14,7 @@ from grants.model import Right
 from grants.request import is_dispensable, missing_right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.participant import registrations
-from rossec.participant.handshakes import offer_refusal
-from rossec.participant.slave_api import without_caller
+from rossec.participant import handshakes, registrations, slave_api
 from rossec.peer_limits import printable
 from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
@@ -117,7 +115,7 @@ def _refusal(
     agent: layers.AgentState, method: str, rule: CallRule, params: tuple[object, ...]
 ) -> list[object] | None:
     # The answer to a call that need not reach the master; None: it must.
-    refused = without_caller(params, rule.default)
+    refused = slave_api.without_caller(params, rule.default)
     if refused is not None:
         return refused
     caller = str(params[0])
@@ -131,7 +129,7 @@ def _refusal(
             again = f"rossec node request {name} --anonymous"
             return [-1, f"{told} enroll it for anonymous nodes too, with a key of its own: {again}", 0]
         return [-1, f"{told} with an identity of its own", 0]
-    return offer_refusal(method, registrations.resolve_params(method, params, caller))
+    return handshakes.offer_refusal(method, registrations.resolve_params(method, params, caller))
 
 
 def rule_of(method: str) -> CallRule:

@@ -21,8 +21,7 @@ from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant import definitions, delivery, handshakes, slave_api
 from rossec.participant.access import FIELD, granted_name, wire_name
 from rossec.peer_limits import printable
-from rossec.ros.names import PORTS, PRESENT_GRANTS
-from rossec.ros.xmlrpc import Encoded, Fault
+from rossec.ros import names, xmlrpc
 from rossec.sidecar.core import layers
 
 # Empty for peers: it would count what a grant withholds. A peer's is forwarded unparsed: roscpp's is
@@ -46,7 +45,7 @@ def handle_peer_call(
     now: int,
 ) -> layers.Layer[object]:
     node = agent.identity.name
-    if method == PRESENT_GRANTS:
+    if method == names.PRESENT_GRANTS:
         agent.access.check_peer(peer, now)
         yield from _require_alive(agent, local, (yield layers.Probe(local)))
         return [1, "", 0]
@@ -54,11 +53,11 @@ def handle_peer_call(
     answer = _answer_at_once(peer, method, params)
     if answer is not None:
         return answer
-    if method in (REQUEST_TOPIC, PORTS):
+    if method in (REQUEST_TOPIC, names.PORTS):
         # The same for every topic: the program is asked once an authorized peer connects there (N5).
         yield from _require_alive(agent, local, (yield layers.Probe(local)))
         ingress = yield from agent.ingress_endpoint(layers.topic_endpoint(local))
-        if method == PORTS:
+        if method == names.PORTS:
             return slave_api.ports_answer(ingress.port)
         return [1, "ready", [slave_api.TCPROS, ingress.host, ingress.port]]
     changed = (handshakes.caller_here(peer, str(params[0])), *params[1:])
@@ -78,7 +77,7 @@ def handle_peer_call(
 
 
 def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> list[object] | None:
-    if method == PORTS:
+    if method == names.PORTS:
         return slave_api.refusal(method, params, peer)
     refused = slave_api.without_caller(params, slave_api.RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
@@ -166,7 +165,7 @@ def handle_program_call(
     agent: layers.AgentState, remote: layers.ListeningAddress, method: str, params: tuple[object, ...]
 ) -> layers.Layer[object]:
     if method not in slave_api.OPEN | slave_api.MASTER_ONLY | slave_api.SLAVE_CALLS.keys():
-        raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
+        raise xmlrpc.Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     refused = slave_api.without_caller(params, slave_api.RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
         refused = _invalid_request_topic(params)
@@ -179,7 +178,7 @@ def handle_program_call(
     event = yield layers.CallPeer(remote, method, changed, slave_api.SLAVE_CALLS.get(method), parse)
     match event:
         case layers.RawResponse(body=body) if method in _UNPARSED:
-            return Encoded(body)
+            return xmlrpc.Encoded(body)
         case layers.Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
             if peer is not None:
                 value = handshakes.answer_here(peer, agent.identity.domain, method, value)

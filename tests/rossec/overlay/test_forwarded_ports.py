@@ -159,9 +159,9 @@ async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogC
 async def test_all_that_find_no_room_are_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
     async with forwarded_ports(carrier) as found:
-        for forwarded_port in (ROBOT, CLOCK, ROBOT):
-            carrier.error = LinkCrowded(f"no room for {forwarded_port.name}", "have fewer")
-            await turned_away(found.open(forwarded_port, MASTER))
+        for each in (ROBOT, CLOCK, ROBOT):
+            carrier.error = LinkCrowded(f"no room for {each.kind} {each.name}", "have fewer")
+            await turned_away(found.open(each, MASTER))
     assert caplog.messages == [
         "a connection: not connected to hospital: no room for node /robot (have fewer)"
     ]
