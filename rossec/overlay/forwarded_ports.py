@@ -60,7 +60,7 @@ class ForwardedPortTable:
         self._ending: set[LocalPort] = set()
         self._pool: PortPool[Target, LocalPort] = PortPool(self._give_up, limit=limit, hint=_HINT)
 
-    def open(self, target: Target, master: str) -> ForwardedPort:
+    async def open(self, target: Target, master: str) -> ForwardedPort:
         if target.peer not in self.ways():
             raise RelayRefused(
                 f"no relay is called {target.peer} here", f"rossec relay add {target.peer} FILE"

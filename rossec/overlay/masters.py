@@ -255,7 +255,7 @@ class MasterLink:
                     orders = self._wanted.take(answer, len(report))
                     self._retry.succeeded()
                     self.error = ""
-                    self._carry_out(orders)
+                    await self._carry_out(orders)
             finally:
                 with contextlib.suppress(*_Failures):
                     await client.close()
@@ -267,13 +267,13 @@ class MasterLink:
             self._report(f"{error} ({hint})" if hint else str(error) or type(error).__name__)
         return self._retry.pause(asyncio.get_running_loop().time())
 
-    def _carry_out(self, orders: wanted_ports.Orders) -> None:
+    async def _carry_out(self, orders: wanted_ports.Orders) -> None:
         for target in orders.close:
             self._forwarded_ports.release(target, self.name)
         again = self._wanted.lost(self._forwarded_ports.take_dropped(self.name))
         for target in (*orders.open, *again):
             try:
-                self._wanted.opened(target, self._forwarded_ports.open(target, self.name))
+                self._wanted.opened(target, await self._forwarded_ports.open(target, self.name))
             except _Failures as error:
                 if self._wanted.failed(target):
                     where = f"{target.name} of {target.peer}"

@@ -32,8 +32,8 @@ def is_open(port: int) -> bool:
 
 async def test_a_target_has_one_forwarded_port_whoever_wants_it() -> None:
     table = ForwardedPortTable(OpenPorts("127.0.0.1"), carry, lambda: WAYS)
-    forwarded_port = table.open(ROBOT, "/master")
-    assert forwarded_port == table.open(ROBOT, "/master/kitchen")
+    forwarded_port = await table.open(ROBOT, "/master")
+    assert forwarded_port == await table.open(ROBOT, "/master/kitchen")
     assert forwarded_port.host == "127.0.0.1"
     assert len(table.wanted) == 1
     assert await asyncio.to_thread(said, forwarded_port.port) == "office node /robot"
@@ -50,15 +50,15 @@ async def test_a_target_has_one_forwarded_port_whoever_wants_it() -> None:
 async def test_there_is_no_forwarded_port_to_a_peer_that_is_not_known() -> None:
     table = ForwardedPortTable(OpenPorts("127.0.0.1"), carry, lambda: WAYS)
     with pytest.raises(RelayRefused, match="no relay is called clinic here") as caught:
-        table.open(Target("clinic", "node", "/robot"), "/master")
+        await table.open(Target("clinic", "node", "/robot"), "/master")
     assert "rossec relay add clinic FILE" in caught.value.hint
     await table.close()
 
 
 async def test_the_forwarded_ports_of_a_peer_that_is_gone_are_closed() -> None:
     table = ForwardedPortTable(OpenPorts("127.0.0.1"), carry, lambda: WAYS | {"clinic": WAYS["office"]})
-    forwarded_port = table.open(ROBOT, "/master")
-    other = table.open(ROBOT._replace(peer="clinic"), "/master")
+    forwarded_port = await table.open(ROBOT, "/master")
+    other = await table.open(ROBOT._replace(peer="clinic"), "/master")
     table.drop_peer("office")
     await asyncio.sleep(0.1)
     assert (is_open(forwarded_port.port), is_open(other.port), len(table.wanted)) == (False, True, 1)
@@ -69,7 +69,7 @@ async def test_the_forwarded_ports_of_a_peer_that_is_gone_are_closed() -> None:
 
 async def test_a_forwarded_port_that_makes_room_for_another_is_wanted_no_longer() -> None:
     table = ForwardedPortTable(OpenPorts("127.0.0.1"), carry, lambda: WAYS, limit=1)
-    table.open(ROBOT, "/master")
-    table.open(ROBOT._replace(name="/other"), "/master")
+    await table.open(ROBOT, "/master")
+    await table.open(ROBOT._replace(name="/other"), "/master")
     assert len(table.wanted) == 1
     await table.close()

@@ -70,11 +70,12 @@ async def test_each_target_has_a_forwarded_port_of_its_own() -> None:
     carrier = Carrier()
     async with forwarded_ports(carrier) as found:
         places = {
-            forwarded_port: found.open(forwarded_port, MASTER) for forwarded_port in (ROBOT, CLOCK, OTHER)
+            forwarded_port: await found.open(forwarded_port, MASTER)
+            for forwarded_port in (ROBOT, CLOCK, OTHER)
         }
         assert len(set(places.values())) == 3
         assert {host for host, _ in places.values()} == {"127.0.0.1"}
-        assert found.open(ROBOT, MASTER) == places[ROBOT]
+        assert await found.open(ROBOT, MASTER) == places[ROBOT]
         assert set(found.wanted) == set(places)
         for forwarded_port, where in places.items():
             (await enter(where)).close()
@@ -84,7 +85,7 @@ async def test_each_target_has_a_forwarded_port_of_its_own() -> None:
 async def test_programs_of_other_users_are_not_let_in() -> None:
     carrier = Carrier()
     async with forwarded_ports(carrier, Callers({os.getuid() + 1})) as found:
-        sock = await dial(*found.open(ROBOT, MASTER), 10)
+        sock = await dial(*await found.open(ROBOT, MASTER), 10)
         with sock, contextlib.suppress(ConnectionResetError):
             assert await asyncio.get_running_loop().sock_recv(sock, 1) == b""
     assert carrier.forwarded_ports == []
@@ -93,7 +94,7 @@ async def test_programs_of_other_users_are_not_let_in() -> None:
 async def test_forwarded_ports_at_an_address_let_everybody_in() -> None:
     carrier = Carrier()
     async with forwarded_ports(carrier, OpenPorts("127.0.0.5", "relay.example")) as found:
-        host, port = found.open(ROBOT, MASTER)
+        host, port = await found.open(ROBOT, MASTER)
         assert host == "relay.example"
         (await enter(("127.0.0.5", port))).close()
         with pytest.raises(ConnectionRefusedError):
@@ -104,14 +105,14 @@ async def test_forwarded_ports_at_an_address_let_everybody_in() -> None:
 async def test_a_closed_forwarded_port_lets_nobody_in_and_keeps_who_is_inside() -> None:
     carrier = Carrier()
     async with forwarded_ports(carrier) as found:
-        where = found.open(ROBOT, MASTER)
+        where = await found.open(ROBOT, MASTER)
         inside = await enter(where)
         found.release(ROBOT, MASTER)
         found.release(ROBOT, MASTER)
         assert list(found.wanted) == []
         with pytest.raises(ConnectionRefusedError):
             await dial(*where, 10)
-        again = found.open(ROBOT, MASTER)
+        again = await found.open(ROBOT, MASTER)
         assert again != where
         inside.close()
         (await enter(again)).close()
@@ -119,9 +120,9 @@ async def test_a_closed_forwarded_port_lets_nobody_in_and_keeps_who_is_inside() 
 
 async def test_a_removed_peer_loses_its_forwarded_ports_and_connections() -> None:
     async with forwarded_ports(Carrier()) as found:
-        inside = await enter(found.open(ROBOT, MASTER))
-        found.open(CLOCK, MASTER)
-        stays = await enter(found.open(OTHER, MASTER))
+        inside = await enter(await found.open(ROBOT, MASTER))
+        await found.open(CLOCK, MASTER)
+        stays = await enter(await found.open(OTHER, MASTER))
         found.drop_peer("hospital")
         assert list(found.wanted) == [OTHER]
         with inside, stays, contextlib.suppress(ConnectionResetError):
@@ -130,15 +131,15 @@ async def test_a_removed_peer_loses_its_forwarded_ports_and_connections() -> Non
 
 async def test_the_idle_forwarded_port_asked_for_least_recently_makes_room() -> None:
     async with forwarded_ports(Carrier(), limit=2) as found:
-        first = await enter(found.open(ROBOT, MASTER))
-        where = found.open(CLOCK, MASTER)
-        found.open(OTHER, MASTER)
+        first = await enter(await found.open(ROBOT, MASTER))
+        where = await found.open(CLOCK, MASTER)
+        await found.open(OTHER, MASTER)
         assert list(found.wanted) == [ROBOT, OTHER]
         with pytest.raises(ConnectionRefusedError):
             await dial(*where, 10)
-        second = await enter(found.open(OTHER, MASTER))
+        second = await enter(await found.open(OTHER, MASTER))
         with pytest.raises(ConfigurationError, match="more than 2 addresses") as caught:
-            found.open(CLOCK, MASTER)
+            await found.open(CLOCK, MASTER)
         assert "relay" in caught.value.hint
         first.close()
         second.close()
@@ -149,7 +150,7 @@ async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogC
     carrier.error = StreamRefused("no link to it", "rossec relay status")
     async with forwarded_ports(carrier) as found:
         for forwarded_port in (ROBOT, CLOCK):
-            await turned_away(found.open(forwarded_port, MASTER))
+            await turned_away(await found.open(forwarded_port, MASTER))
     assert caplog.messages == [
         "node /robot: not connected to hospital: no link to it (rossec relay status)",
         "service /clock: not connected to hospital: no link to it (rossec relay status)",
@@ -161,7 +162,7 @@ async def test_all_that_find_no_room_are_one_line_of_the_log(caplog: pytest.LogC
     async with forwarded_ports(carrier) as found:
         for each in (ROBOT, CLOCK, ROBOT):
             carrier.error = LinkCrowded(f"no room for {each.kind} {each.name}", "have fewer")
-            await turned_away(found.open(each, MASTER))
+            await turned_away(await found.open(each, MASTER))
     assert caplog.messages == [
         "a connection: not connected to hospital: no room for node /robot (have fewer)"
     ]
