@@ -22,13 +22,9 @@ from aiocoap.numbers import codes
 from ca.certificates import Identity
 from ca.errors import CAError, HintedError
 from rossec import clock, files
+from rossec.border import constrained_node, conversations, handshakes, messages, resources
 from rossec.border.bridge import Roster, ThingBridge
-from rossec.border.constrained_node import SharedIdentity, ThingNode
-from rossec.border.conversations import Conversation, DatagramQueue
 from rossec.border.endpoint import CoapAnswer, CoapEndpoint, CoapRequest, Events, OnAnswer, Served
-from rossec.border.handshakes import StaticKey
-from rossec.border.messages import MAX_DATAGRAM, Address
-from rossec.border.resources import read_links
 from rossec.errors import ConfigurationError, ThingUnreachable
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
@@ -60,7 +56,7 @@ class Server:
     """
 
     def __init__(
-        self, own: StaticKey, served: Served, events: Events, host: str = "::", port: int = PORT
+        self, own: handshakes.StaticKey, served: Served, events: Events, host: str = "::", port: int = PORT
     ) -> None:
         self._loop = asyncio.get_running_loop()
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -85,7 +81,7 @@ class Server:
         dice = secrets.SystemRandom().random
         self.endpoint: Final = CoapEndpoint(own, served, events, self._send, secrets.token_bytes, dice)
         self._timer: asyncio.TimerHandle | None = None
-        self._intake = DatagramQueue()
+        self._intake = conversations.DatagramQueue()
         self._turn: asyncio.Handle | None = None
         self._loop.add_reader(self._socket.fileno(), self._read)
 
@@ -123,7 +119,7 @@ class Server:
         at = self.endpoint.conversations.at
         for _ in range(_READS):
             try:
-                data, address = self._socket.recvfrom(MAX_DATAGRAM + 1)
+                data, address = self._socket.recvfrom(messages.MAX_DATAGRAM + 1)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError:  # an ICMP error for what was sent before
@@ -151,7 +147,7 @@ class Server:
             self._turn = self._loop.call_soon(self._take_strangers)
         self._arm()
 
-    def _send(self, data: bytes, address: Address) -> None:
+    def _send(self, data: bytes, address: messages.Address) -> None:
         with contextlib.suppress(OSError):
             self._socket.sendto(data, address)
 
@@ -199,8 +195,10 @@ class BorderNode(Node):
 
 
 class BorderRouter:
+    """Serves things at UDP `host` and `port` as ROS nodes of this border router, which is named `name`."""
+
     def __init__(
-        self, name: str, key: StaticKey, environ: Mapping[str, str], host: str, port: int = PORT
+        self, name: str, key: handshakes.StaticKey, environ: Mapping[str, str], host: str, port: int = PORT
     ) -> None:
         self.node: Final = BorderNode(name, environ, self._news, self._session)
         self._root = self.node.home.path.parent.parent
@@ -213,13 +211,13 @@ class BorderRouter:
         self._proved_for = b""
         self._tick = 0
         self.server: Server
-        self._shared: SharedIdentity
+        self._shared: constrained_node.SharedIdentity
 
     async def start(self) -> None:
         node = self.node
         self.roster.reload()
         await node.__aenter__()
-        self._shared = SharedIdentity(
+        self._shared = constrained_node.SharedIdentity(
             node.access.trust_status,
             node.settings,
             node.push_arrived,
@@ -246,7 +244,7 @@ class BorderRouter:
 
     # --- events of the endpoint
 
-    def registered(self, conversation: Conversation) -> None:
+    def registered(self, conversation: conversations.Conversation) -> None:
         name = conversation.name
         if name in self._attending:  # one at a time: a thing may say so ten times a second
             self._again.add(name)
@@ -258,7 +256,7 @@ class BorderRouter:
         self.server.drop(name)
         self._end(name, "the thing has left")
 
-    def ended(self, conversation: Conversation) -> None:
+    def ended(self, conversation: conversations.Conversation) -> None:
         bridge = self.bridges.get(conversation.name)
         if bridge is not None:
             bridge.lost()
@@ -280,7 +278,7 @@ class BorderRouter:
             bridge = await self._bridge(name)
             if bridge.node.is_due(clock.now()):
                 await bridge.node.update()
-            await bridge.follow(read_links(await self._links(name), name))
+            await bridge.follow(resources.read_links(await self._links(name), name))
         except (HintedError, OSError, TimeoutError, Fault) as error:
             _log.warning("%s: %s", name, error)
 
@@ -296,7 +294,7 @@ class BorderRouter:
             del self.bridges[name]
             await found.close("the thing has another credential")
         host, _ = self.node.topic_endpoint()
-        node = ThingNode(NodeHome.of(self._root, name), self._shared, host)
+        node = constrained_node.ThingNode(NodeHome.of(self._root, name), self._shared, host)
         await node.start()
         bridge = ThingBridge(node, credential, partial(self.server.request, name), self._tasks)
         self.bridges[name] = bridge

@@ -18,8 +18,7 @@ from ca.errors import CAError, HintedError
 from ca.revocation.trust_status import Revocations
 from ca.things import ThingKey, ThingStatement
 from grants.filters.layout import Layout
-from rossec.border.constrained_node import ThingNode
-from rossec.border.conversations import MESSAGE_RATE
+from rossec.border import constrained_node, conversations
 from rossec.border.endpoint import CoapAnswer, CoapRequest, OnAnswer
 from rossec.border.resources import PUBLISHER, SUBSCRIBER, Resource, from_ros, to_ros
 from rossec.errors import BodyRefused, ServiceFailed, ThingUnreachable
@@ -143,7 +142,7 @@ class Roster:
 class ThingBridge:
     """One thing and its ROS node; `tasks`: of all things."""
 
-    def __init__(self, node: ThingNode, credential: bytes, ask: Ask, tasks: TaskSet) -> None:
+    def __init__(self, node: constrained_node.ThingNode, credential: bytes, ask: Ask, tasks: TaskSet) -> None:
         self.node: Final = node
         self.credential: Final = credential
         self._ask, self._tasks = ask, tasks
@@ -256,7 +255,7 @@ class ThingBridge:
             except HintedError as error:
                 self.refused += 1
                 _log.info("%s: not written: %s", resource.name, error)
-            await asyncio.sleep(1 / MESSAGE_RATE)
+            await asyncio.sleep(1 / conversations.MESSAGE_RATE)
 
     async def _call(
         self, resource: Resource, kind: ServiceType, request: Message, _caller: Identity

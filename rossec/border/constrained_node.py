@@ -19,20 +19,16 @@ from ca.errors import CAError, HintedError
 from ca.names import shown
 from ca.revocation.lists import digest
 from ca.revocation.trust_status import TrustStatus
-from rossec import clock
+from rossec import clock, errors
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.errors import AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
 from rossec.net.rpc import RpcClient
-from rossec.node.context import NodeContext
-from rossec.node.node import Listener
+from rossec.node import context, node, service, subscriber
 from rossec.node.publisher import Publisher
-from rossec.node.service import Services
-from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
 from rossec.participant.access import MAX_CALL, NO_LIST, Access, batches
 from rossec.participant.authorized import memory_scope
@@ -43,9 +39,8 @@ from rossec.participant.message_types import message_type
 from rossec.participant.registrations import PublisherGrace
 from rossec.participant.renewals import IdentityRenewal, Renewals, due_at, renew, renew_identity
 from rossec.participant.slave_api import SlaveApi
-from rossec.ros import names
+from rossec.ros import names, xmlrpc
 from rossec.ros.names import MASTER, PRESENT_GRANTS, REVOCATION_UPDATE, Settings
-from rossec.ros.xmlrpc import Fault
 
 HALF_OPEN: Final = HalfOpen(512, 1024)  # of all ports: the master connects to each thing's node
 AT_A_TIME: Final = 8  # things that connect to the master at the same time
@@ -153,7 +148,7 @@ class MasterVisits:
         stream = await self._dial()
         if stream.peer.name != self._shared.master:
             stream.abort("not the master")
-            raise ConfigurationError(f"{shown(stream.peer.name)} answers at the master's address")
+            raise errors.ConfigurationError(f"{shown(stream.peer.name)} answers at the master's address")
         client = RpcClient(stream)
         try:
             held = digest(self._shared.held_list())
@@ -189,7 +184,7 @@ class MasterVisits:
 async def quietly(work: Awaitable[object], what: str) -> bool:
     try:
         await work
-    except (AnswerRefused, HintedError, OSError, TimeoutError, Fault) as error:
+    except (errors.AnswerRefused, HintedError, OSError, TimeoutError, xmlrpc.Fault) as error:
         _log.warning("%s: %s", what, error)
         return False
     return True
@@ -224,20 +219,20 @@ class ThingNode:
         )
         self._grace = PublisherGrace(clock.counter())
         scope = memory_scope(self.name)
-        self.context = NodeContext(
+        self.context = context.NodeContext(
             self.name, access, self.connections, self._visits.call, dialer, home.filter_key, scope
         )
         self._topics = Topics(self.context, self._grace)
-        self.services = Services(self.context)
+        self.services = service.Services(self.context)
         slave, topics = SlaveApi(self, shared.master), self._topics
-        self._listener = Listener(
+        self._listener = node.Listener(
             self.context, secure, topics.publishers, self.services, slave, own_addresses
         )
 
     def _load(self, now: int) -> Identity:
         own = self._shared.trust_status.anchors.own
         if self._home.anchor().thumbprint != own.thumbprint:
-            raise ConfigurationError(
+            raise errors.ConfigurationError(
                 f"{self.name} trusts another authority than this border router",
                 f"move {self._home.path} away, then: rossec border add {self.name}",
             )
@@ -263,7 +258,7 @@ class ThingNode:
         endpoint = TopicEndpoint(topic, message_type(type_name))
         return await self._topics.publish(endpoint, latch=False, queue_size=10)
 
-    async def subscribe(self, topic: str, type_name: str) -> Subscriber:
+    async def subscribe(self, topic: str, type_name: str) -> subscriber.Subscriber:
         endpoint = TopicEndpoint(topic, message_type(type_name))
         return await self._topics.subscribe(endpoint, queue_size=1)
 

@@ -19,46 +19,20 @@ from typing import Any, Final
 from ca.certificates import Identity
 from ca.errors import CAError, HintedError, RevocationsStale
 from ca.names import shown, split_alias
-from rossec.errors import (
-    AnswerRefused,
-    ChannelClosed,
-    GraphHidden,
-    HandshakeFailed,
-    IdentityRefused,
-    ImportRefused,
-    PeerRefused,
-    PeerUnreachable,
-    RelayRefused,
-    SiteRefused,
-)
-from rossec.federation import exchange
+from rossec import errors, peer_limits
+from rossec.federation import exchange, site_state
 from rossec.federation.exchange import LONGEST_FOREIGN, ForeignLists, Mirroring, OwnMaster
 from rossec.federation.settings import SiteSettings
-from rossec.federation.site_state import (
-    LONGEST_PAUSE,
-    METHOD,
-    SILENCE,
-    ForwardedPortFacts,
-    SiteChange,
-    SiteCursor,
-    SiteEffect,
-    SiteEvent,
-    SitePhase,
-    SiteState,
-    site_status,
-)
 from rossec.master.state.forwarded_ports import MASTER, MAX_FORWARDED_PORTS, ForwardedPorts, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc import RpcClient
-from rossec.peer_limits import printable
-from rossec.ros.names import PRESENT_GRANTS
-from rossec.ros.xmlrpc import Fault
+from rossec.ros import names, xmlrpc
 
 FORWARDED_PORT_WAIT: Final = (
     5.0  # seconds for the master's forwarded port: a relay that polls opens it at once
 )
 NODES_WAIT: Final = 1.0  # seconds for those of new nodes; they are shown without others after it
-NO_CHANGE: Final = SiteChange(frozenset(), frozenset(), False, b"", b"")
+NO_CHANGE: Final = site_state.SiteChange(frozenset(), frozenset(), False, b"", b"")
 _log = logging.getLogger("rossec.federation")
 
 
@@ -72,7 +46,7 @@ class SitePorts:
         self._settings = settings
         self._on_forwarded_port = on_forwarded_port
         self._master = Target(settings.via, MASTER, settings.master)
-        self._facts = ForwardedPortFacts(settings.via, forwarded_ports.forwarded_port)
+        self._facts = site_state.ForwardedPortFacts(settings.via, forwarded_ports.forwarded_port)
         self._had_forwarded_port = False
         self._missing = 0
         self.changed: Final = asyncio.Event()
@@ -85,16 +59,16 @@ class SitePorts:
         if forwarded_port is not None:
             return forwarded_port
         if self._forwarded_ports.way(self._settings.via) is None:
-            raise RelayRefused(
+            raise errors.RelayRefused(
                 f"no relay of this site knows a peer {self._settings.via}",
                 f"is `rossec relay` running, and was this done: rossec relay add {self._settings.via} FILE",
             )
-        raise RelayRefused(
+        raise errors.RelayRefused(
             f"the relay opens no forwarded port for {self._settings.master} of {self._settings.via}",
             "rossec relay status",
         )
 
-    async def take(self, change: SiteChange) -> SiteChange:
+    async def take(self, change: site_state.SiteChange) -> site_state.SiteChange:
         before = self._facts.targets
         for _ in self._facts.take(change):
             await asyncio.sleep(0)
@@ -103,7 +77,7 @@ class SitePorts:
         await self._wait(targets - before, NODES_WAIT)
         return self.refreshed(change)
 
-    def refreshed(self, change: SiteChange = NO_CHANGE) -> SiteChange:
+    def refreshed(self, change: site_state.SiteChange = NO_CHANGE) -> site_state.SiteChange:
         self.changed.clear()
         return self._facts.shown(change)
 
@@ -167,7 +141,7 @@ class SiteConnections:
             stream = await connect(*address, self._own.context, WireProtocol.HTTP)
         try:
             self._check(stream)
-            yield RpcClient(stream, deadline=SILENCE), stream.peer
+            yield RpcClient(stream, deadline=site_state.SILENCE), stream.peer
         finally:
             await stream.close()
 
@@ -177,7 +151,7 @@ class SiteConnections:
         except RevocationsStale:  # of its domain: it is asked for them
             return
         except CAError as error:
-            raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
+            raise errors.SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
 
     def _check(self, stream: SecureStream[Identity]) -> None:
         # The peer is the master that is followed, and not revoked.
@@ -186,7 +160,7 @@ class SiteConnections:
         label, name = ("", peer.name) if alias is None else alias
         if (label, name) != (expected.domain, expected.master):
             stream.abort("not the master that is followed")
-            raise SiteRefused(
+            raise errors.SiteRefused(
                 f"{shown(peer.name)} answers {expected.place}, not {expected.master}"
                 + (f" of {expected.domain}" if expected.domain else ""),
                 "check the address: rossec federation list",
@@ -198,8 +172,12 @@ PACE: Final = 0.05  # seconds between two questions: a site may answer at once, 
 _audit = logging.getLogger("rossec.audit")
 
 _RANDOM: Final = SystemRandom().random
-_AT_FORWARDED_PORT: Final = (ChannelClosed, HandshakeFailed, PeerUnreachable)  # of a relay without a link
-Failures: Final = (HintedError, OSError, TimeoutError, Fault)
+_AT_FORWARDED_PORT: Final = (
+    errors.ChannelClosed,
+    errors.HandshakeFailed,
+    errors.PeerUnreachable,
+)  # of a relay without a link
+Failures: Final = (HintedError, OSError, TimeoutError, xmlrpc.Fault)
 
 
 class FollowedSite:
@@ -207,11 +185,11 @@ class FollowedSite:
 
     def __init__(self, settings: SiteSettings, own: OwnMaster, rand: Callable[[], float] = _RANDOM) -> None:
         self.settings: Final = settings
-        self.state: Final = SiteState()
+        self.state: Final = site_state.SiteState()
         self.error = self.hint = ""  # why it is not followed now; empty: it is
         self._own = own
         self._rand = rand
-        self._cursor = SiteCursor()
+        self._cursor = site_state.SiteCursor()
         self._asked_at = 0.0
         self._mirroring = Mirroring(own, settings)
         self._woken = asyncio.Event()
@@ -223,33 +201,33 @@ class FollowedSite:
 
     async def run(self) -> None:
         while True:
-            self._take(SiteEvent.DUE)
+            self._take(site_state.SiteEvent.DUE)
             try:
                 await self._follow()
-            except (SiteRefused, IdentityRefused) as error:
-                self._report(SiteEvent.REFUSED, error)
+            except (errors.SiteRefused, errors.IdentityRefused) as error:
+                self._report(site_state.SiteEvent.REFUSED, error)
             except Failures as error:
-                self._report(SiteEvent.FAILED, error)
+                self._report(site_state.SiteEvent.FAILED, error)
             except Exception as error:  # noqa: BLE001 - no answer may end that it is followed
                 _log.exception("following site %s failed", self.settings.label)
-                self._report(SiteEvent.FAILED, error)
-            if self.state.phase not in (SitePhase.FOLLOWING, SitePhase.LISTENING):
+                self._report(site_state.SiteEvent.FAILED, error)
+            if self.state.phase not in (site_state.SitePhase.FOLLOWING, site_state.SitePhase.LISTENING):
                 self._woken.clear()
                 with contextlib.suppress(TimeoutError):
-                    longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
+                    longest = site_state.LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
                     async with asyncio.timeout(self.state.pause(self._rand(), longest)):
                         await self._woken.wait()
 
     def tick(self) -> None:
         if self.state.has_expired(time.monotonic()):
-            self._take(SiteEvent.EXPIRED)
+            self._take(site_state.SiteEvent.EXPIRED)
             _audit.warning("site %s is lost: its facts are dropped", self.settings.label)
 
     def wake(self) -> None:
         self._woken.set()
 
     def remove(self) -> None:
-        self._take(SiteEvent.REMOVED)
+        self._take(site_state.SiteEvent.REMOVED)
         if self._forwarded_ports is not None:
             self._forwarded_ports.close()
 
@@ -257,14 +235,14 @@ class FollowedSite:
         # The connection on which it is followed waits for an answer, so another one is made.
         self._lists_changed.set()
         self._mirroring.judge()
-        if self.settings.domain or self.state.phase is not SitePhase.FOLLOWING:
+        if self.settings.domain or self.state.phase is not site_state.SitePhase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
             async with self.connections.open() as (client, peer):
                 await exchange.settle(client, self._own, peer)
 
     def status(self) -> dict[str, Any]:
-        found = site_status(self.settings, self.state, self._own.state.imports, time.monotonic())
+        found = site_state.site_status(self.settings, self.state, self._own.state.imports, time.monotonic())
         return {
             **found,
             "version": self._cursor.version,
@@ -277,7 +255,7 @@ class FollowedSite:
     async def _follow(self) -> None:
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connections.open() as (client, peer):
-            self._take(SiteEvent.CONNECTED)
+            self._take(site_state.SiteEvent.CONNECTED)
             self._cursor.reconnected()
             if not was_followed:
                 if self._foreign is not None:
@@ -286,14 +264,14 @@ class FollowedSite:
                     # Who mirrors parameters shows its grants: they decide what it may read.
                     tokens = self._own.grants() if self.settings.parameters else ()
                     if tokens := list(tokens)[: exchange.MAX_PRESENTED]:
-                        await client.ask(PRESENT_GRANTS, self._own.name, tokens)
+                        await client.ask(names.PRESENT_GRANTS, self._own.name, tokens)
                     await exchange.settle(client, self._own, peer)
             try:
                 await self._poll(client, peer)
-            except GraphHidden as error:
+            except errors.GraphHidden as error:
                 if self._foreign is None or self._foreign.may_see(peer.certified_name):
-                    raise SiteRefused(str(error), error.hint) from error  # tried again
-                self._report(SiteEvent.HIDDEN, error)
+                    raise errors.SiteRefused(str(error), error.hint) from error  # tried again
+                self._report(site_state.SiteEvent.HIDDEN, error)
                 check = partial(self.connections.check_trust, peer)
                 await self._foreign.listen(client, peer, self._lists_changed, check)
 
@@ -316,21 +294,23 @@ class FollowedSite:
                 await exchange.settle(client, self._own, peer, change)
             try:
                 await self._mirroring.keep(client)
-            except (AnswerRefused, ImportRefused) as error:
-                self.error, self.hint = printable(str(error)), printable(error.hint)
+            except (errors.AnswerRefused, errors.ImportRefused) as error:
+                self.error, self.hint = peer_limits.printable(str(error)), peer_limits.printable(error.hint)
 
     async def _pace(self) -> None:
         await asyncio.sleep(self._asked_at + PACE - time.monotonic())
         self._asked_at = time.monotonic()
 
-    async def _is_answered(self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int) -> bool:
+    async def _is_answered(
+        self, asking: asyncio.Future[site_state.SiteChange], peer: Identity, demand: int
+    ) -> bool:
         imports, changes = self._own.state.imports, self._own.state.demand_changes
         events = [
             self._lists_changed,
             *([] if self._forwarded_ports is None else [self._forwarded_ports.changed]),
         ]
         while not asking.done():
-            if self.state.phase is SitePhase.FOLLOWING and imports.demand.version != demand:
+            if self.state.phase is site_state.SitePhase.FOLLOWING and imports.demand.version != demand:
                 return False
             if self._lists_changed.is_set():
                 self._lists_changed.clear()
@@ -338,7 +318,7 @@ class FollowedSite:
             if self._forwarded_ports is not None and self._forwarded_ports.changed.is_set():
                 await self._apply(self._forwarded_ports.refreshed())
             others: list[asyncio.Future[Any]] = [
-                asyncio.ensure_future(changes.wait(SILENCE)),
+                asyncio.ensure_future(changes.wait(site_state.SILENCE)),
                 *(asyncio.ensure_future(event.wait()) for event in events),
             ]
             try:
@@ -348,75 +328,75 @@ class FollowedSite:
                     each.cancel()
         return True
 
-    async def _next_change(self, client: RpcClient) -> SiteChange:
+    async def _next_change(self, client: RpcClient) -> site_state.SiteChange:
         imports = self._own.state.imports
         wanted = imports.demand.wanted(self.settings.site, self._own.state.now())
         while True:
             try:
-                answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])
-            except AnswerRefused as error:
-                raise GraphHidden(f"{self.settings.label} refuses: {error}", error.hint) from error
+                answer = await client.ask(site_state.METHOD, self._own.name, *self._cursor.params, [*wanted])
+            except errors.AnswerRefused as error:
+                raise errors.GraphHidden(f"{self.settings.label} refuses: {error}", error.hint) from error
             change = self._cursor.take(answer)
             if change is not None:
                 return change
             await self._pace()
 
-    async def _take_over(self, change: SiteChange) -> None:
+    async def _take_over(self, change: site_state.SiteChange) -> None:
         try:
             change = change if self._forwarded_ports is None else await self._forwarded_ports.take(change)
-        except ImportRefused as error:
-            raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
+        except errors.ImportRefused as error:
+            raise errors.SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         await self._apply(change)
-        if self.state.phase is not SitePhase.FOLLOWING:
+        if self.state.phase is not site_state.SitePhase.FOLLOWING:
             _audit.info("site %s is followed", self.settings.label)
-        self._take(SiteEvent.ANSWERED)
+        self._take(site_state.SiteEvent.ANSWERED)
         self.error = self.hint = ""
 
-    async def _apply(self, change: SiteChange) -> None:
+    async def _apply(self, change: site_state.SiteChange) -> None:
         steps = self._own.state.imports.apply_in_steps(
             self.settings.site, change.added, change.removed, whole=change.whole
         )
         try:
             events = await exchange.in_turns(steps)
         except HintedError as error:
-            raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
+            raise errors.SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         self._deliver(events)
 
-    def _report(self, event: SiteEvent, error: BaseException) -> None:
-        text = printable(str(error)) or type(error).__name__
+    def _report(self, event: site_state.SiteEvent, error: BaseException) -> None:
+        text = peer_limits.printable(str(error)) or type(error).__name__
         if text != self.error:
             _log.warning("site %s: %s", self.settings.label, text)
-        if event is not SiteEvent.FAILED and text != self.error:
+        if event is not site_state.SiteEvent.FAILED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
-        self.error, self.hint = text, printable(self._advice(error))
+        self.error, self.hint = text, peer_limits.printable(self._advice(error))
         self._take(event)
 
     def _advice(self, error: BaseException) -> str:
         # The hint of a failure; a stranger is not told why it is refused, but can guess.
         if self._forwarded_ports is not None and isinstance(error, _AT_FORWARDED_PORT):
             return "is there a link? rossec relay status"
-        if isinstance(error, PeerRefused) and self._foreign is not None:
+        if isinstance(error, errors.PeerRefused) and self._foreign is not None:
             return f"does {self.settings.domain} trust this domain? there: rossec domain list"
         return error.hint if isinstance(error, HintedError) else ""
 
-    def _take(self, event: SiteEvent) -> None:
+    def _take(self, event: site_state.SiteEvent) -> None:
         label = self.settings.label
         match self.state.take(event, time.monotonic()):
-            case SiteEffect.NONE:
+            case site_state.SiteEffect.NONE:
                 pass
-            case SiteEffect.MARK:
+            case site_state.SiteEffect.MARK:
                 self._own.state.imports.lose(label)
-            case SiteEffect.EXPIRE:
+            case site_state.SiteEffect.EXPIRE:
                 self._begin_again()
                 self._own.state.imports.expire(label)
                 self._own.state.notify()
-            case SiteEffect.DROP:
+            case site_state.SiteEffect.DROP:
                 self._begin_again()
                 self._deliver(self._own.state.imports.drop(label))
                 self._mirroring.drop()
 
     def _begin_again(self) -> None:
-        self._cursor = SiteCursor()
+        self._cursor = site_state.SiteCursor()
         if self._forwarded_ports is not None:
             self._forwarded_ports.drop()
 

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from ca.errors import HintedError
 from ca.names import MASTER
-from rossec import clock
+from rossec import clock, peer_limits, saved_statements
 from rossec.discovery import Candidate, Candidates, listening, uri_of
 from rossec.errors import ConfigurationError
 from rossec.federation.exchange import Chains, OwnMaster
@@ -27,8 +27,6 @@ from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.master.server import MasterServer
 from rossec.master.state.registry import is_connectable
-from rossec.peer_limits import printable
-from rossec.saved_statements import saved_revocations
 
 SILENT: Final = 3.0  # seconds: a master announces itself twice in each
 
@@ -44,7 +42,7 @@ class AnnouncedMasters:
 
     def __init__(self, home: NodeHome, candidates: Candidates | None = None) -> None:
         anchor = home.anchor()
-        revoked = saved_revocations(home, anchor, clock.now()).entries
+        revoked = saved_statements.saved_revocations(home, anchor, clock.now()).entries
         self._candidates = Candidates(anchor, revoked) if candidates is None else candidates
         self._own_name = home.name
         self._heard: dict[str, _Heard] = {}
@@ -208,7 +206,7 @@ class Mesh:
 
 def _text(error: Exception) -> str:
     hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
-    return printable(f"{error}{hint}")
+    return peer_limits.printable(f"{error}{hint}")
 
 
 def mesh_of(server: MasterServer, home: NodeHome, config: FederationConfig) -> Mesh:

@@ -75,6 +75,7 @@ class SiteSettings:
 
 
 def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
+    """By label; raises `ConfigurationError` where two are one master, or a label has two meanings."""
     found: dict[str, SiteSettings] = {}
     for each in sites:
         if each.label in found:

@@ -25,10 +25,9 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.errors import PathRefused
 from ca.keys.signing import Signer, thumbprint
-from rossec import files
+from rossec import files, peer_limits
 from rossec.clock import time as host_time
 from rossec.errors import ConfigurationError
-from rossec.peer_limits import printable
 
 FIRST: Final = "0" * 64
 _KEY, _SIGNATURE = "key", "signature"
@@ -179,7 +178,7 @@ class AuditFile(logging.Handler):
         entry: Entry = {
             "at": round(now, 3),
             "level": record.levelname.lower(),
-            "text": printable(record.getMessage(), LINE_LIMIT // 8),
+            "text": peer_limits.printable(record.getMessage(), LINE_LIMIT // 8),
         }
         if left_out := getattr(record, LEFT_OUT, 0):
             entry[LEFT_OUT] = left_out

@@ -27,7 +27,7 @@ from grants.decision import Decision
 from grants.errors import DefinitionRefused, GrantError
 from grants.guard import Guard
 from grants.model import Right
-from rossec import clock
+from rossec import clock, peer_limits
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused, PlainPeer
 from rossec.inprocess.identity import LocalIdentity, now, plain_fields
@@ -40,9 +40,7 @@ from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.message_types import MessageType
 from rossec.participant.service_types import ServiceGuard, ServiceType
-from rossec.peer_limits import printable
-from rossec.ros import tcpros
-from rossec.ros.names import is_forwarded_port, parse_uri
+from rossec.ros import names, tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 DEADLINE: Final = 5.0
@@ -110,7 +108,7 @@ def for_rospy(fields: Mapping[str, bytes]) -> dict[str, str]:
 def refuse(sock: RosSocket, error: HintedError) -> None:
     sock.settimeout(DEADLINE)
     with suppress(HintedError, OSError):
-        sock.send_unit(tcpros.error_header(f"rossec: {printable(error)}"))
+        sock.send_unit(tcpros.error_header(f"rossec: {peer_limits.printable(error)}"))
 
 
 class Connections:
@@ -128,7 +126,7 @@ class Connections:
         if sock is None or protocol is None:
             return
         try:
-            if sock.is_plain and is_forwarded_port(str(transport.endpoint_id)):
+            if sock.is_plain and names.is_forwarded_port(str(transport.endpoint_id)):
                 raise PlainPeer("the peer behind a relay is a plain ROS node", _HINT_PLAIN)
             data = tcpros.encode(self._fields(protocol, sock))
             with tried_again():
@@ -381,13 +379,13 @@ class SubscriptionLoop:
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None], topic: str
     ) -> None:
         # `host`, `port`: the publisher's answer, of no use at a relay's forwarded port, where its topics are.
-        if is_forwarded_port(uri):
-            host, port = parse_uri(uri)
+        if names.is_forwarded_port(uri):
+            host, port = names.parse_uri(uri)
         pause = _FIRST_PAUSE
         while not conn.done and not rospy.is_shutdown():
             before = conn.stat_num_msg
             try:
-                self._process.own_addresses.check_redirect(parse_uri(uri), (host, port))
+                self._process.own_addresses.check_redirect(names.parse_uri(uri), (host, port))
                 conn.connect(host, port, uri, timeout=60.0)
                 self._receive(conn, callback)
             except TransportInitError:

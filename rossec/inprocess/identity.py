@@ -11,12 +11,11 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
 from ca.certificates import Identity
-from rossec import clock
+from rossec import clock, errors
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.negotiation import Renewal
 from rossec.channel.opening import MAX_DRAIN, PlainCaller, WireProtocol, classify_caller
-from rossec.errors import HeaderRefused, ProtocolViolation
 from rossec.home import NodeHome
 from rossec.net.context import SecureContext
 from rossec.net.limits import HalfOpenSlot
@@ -25,8 +24,7 @@ from rossec.participant.access import Access
 from rossec.participant.connections import Address, OwnAddresses
 from rossec.participant.handshakes import caller_for
 from rossec.participant.membership import LoadedIdentity
-from rossec.ros import tcpros
-from rossec.ros.names import MASTER
+from rossec.ros import names, tcpros
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -89,7 +87,7 @@ class LockedAccess:
 
 class LocalIdentity(LoadedIdentity):
     def __init__(
-        self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION, master: str = MASTER
+        self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION, master: str = names.MASTER
     ) -> None:
         super().__init__(home, name, master)
         self.live_context = SecureContext(
@@ -173,7 +171,7 @@ def peek(sock: socket.socket) -> bytes:
         if not isinstance(verdict, PlainCaller) or verdict.drain > MAX_DRAIN:
             return b""
         return _peek_bytes(sock, min(verdict.drain, _PREFIX + tcpros.HEADER_LIMIT), end)
-    except (OSError, ProtocolViolation):
+    except (OSError, errors.ProtocolViolation):
         return b""
     finally:
         sock.settimeout(None)
@@ -184,7 +182,7 @@ def plain_fields(data: bytes) -> dict[str, bytes]:
         return {}
     try:
         return tcpros.decode(data[_PREFIX:])
-    except HeaderRefused:
+    except errors.HeaderRefused:
         return {}
 
 

@@ -41,6 +41,7 @@ def read(
     node: str | None = None,
     allow_plain: Sequence[str] | None = None,
 ) -> Options:
+    """From arguments, the environment, and then a TOML file; raises `ConfigurationError`."""
     table = _table(text) if text is not None else {}
     name = _first(node, environ.get("ROSSEC_NODE"), table.get("node"))
     if name is not None:

@@ -33,8 +33,7 @@ from rossec.participant.connections import ConnectionTable, Dialer, FollowedPubl
 from rossec.participant.membership import Membership
 from rossec.participant.registrations import REFUSED, UNREGISTERS, PublisherGrace, RegistrationTable
 from rossec.peer_limits import printable
-from rossec.ros.names import parse_uri
-from rossec.ros.xmlrpc import FAULT_CODE, Fault
+from rossec.ros import names, xmlrpc
 
 REGISTRATIONS: Final[Mapping[str, object]] = {  # each with what a master without other nodes answers
     "registerPublisher": [],
@@ -85,7 +84,7 @@ class Registrations:
                     self.set_publishers(str(params[1]), value)
                 elif method == "lookupNode" and isinstance(value, str):
                     with suppress(ConfigurationError):
-                        self._nodes[parse_uri(value)] = None
+                        self._nodes[names.parse_uri(value)] = None
             case [_, str(status), _] if status.startswith(REFUSED):
                 self.table.record(method, params, refused=True)
             case _:
@@ -225,7 +224,7 @@ class BackgroundLoop:
             if isinstance(error.__cause__, (OverflowError, TypeError)):
                 raise error.__cause__ from None  # not an XML-RPC value: as stock clients
             if isinstance(error, XmlRpcRefused):  # one that stock clients send, and servers refuse
-                raise Fault(FAULT_CODE, str(error)) from None
+                raise xmlrpc.Fault(xmlrpc.FAULT_CODE, str(error)) from None
             text = str(error) or "no answer from the master"
             raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {text}") from error
 
@@ -248,7 +247,7 @@ class BackgroundLoop:
     async def _open_session(self) -> None:
         try:
             await self.membership.session.open()
-        except (HintedError, OSError, Fault) as error:
+        except (HintedError, OSError, xmlrpc.Fault) as error:
             _log.warning("%s: no answer from the master: %s", self._local_identity.name, error)
         self._first_attempt.set()
 

@@ -15,16 +15,14 @@ from typing import Any, Final, NoReturn
 
 from ca.errors import HintedError
 from ca.keys import ownership
-from rossec import environment, files
+from rossec import environment, files, peer_limits
 from rossec.channel.opening import post_quantum
-from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.host.addresses import warn_of_own_address
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.options import Options, PlainPeers, file_of, read
 from rossec.inprocess.process import CallReporter, LogBridge, SecuredProcess
-from rossec.peer_limits import printable
 from rossec.ros.names import own_address, parse_uri
 
 _MAX_FILE = 64 * 1024
@@ -111,7 +109,7 @@ class _Secured:
 
     def _load_identity(self, name: str) -> LocalIdentity:
         home = NodeHome.find(self.options.home, name)
-        return LocalIdentity(home, name, post_quantum(os.environ), own_master(os.environ))
+        return LocalIdentity(home, name, post_quantum(os.environ), environment.own_master(os.environ))
 
     def _begin(self, local_identity: LocalIdentity) -> None:
         self.hooks.hook_tools(self.process)
@@ -189,9 +187,9 @@ def secured() -> SecuredProcess:
 
 def stop(error: HintedError) -> NoReturn:
     """Report `error` on the terminal and end the program: it must not run unsecured."""
-    sys.stderr.write(f"rossec: error: {printable(error)}\n")
+    sys.stderr.write(f"rossec: error: {peer_limits.printable(error)}\n")
     if error.hint:
-        sys.stderr.write(f"rossec: hint: {printable(error.hint)}\n")
+        sys.stderr.write(f"rossec: hint: {peer_limits.printable(error.hint)}\n")
     sys.stderr.flush()
     raise SystemExit(1) from error
 

@@ -24,23 +24,14 @@ from ca.names import origin_of, shown
 from grants.model import Right
 from grants.request import is_dispensable, missing_right
 from grants.request import refusal as request_refusal
+from rossec import errors
 from rossec.channel.opening import REFUSAL, WireProtocol
-from rossec.errors import (
-    ChannelClosed,
-    ChannelError,
-    ConfigurationError,
-    HttpRefused,
-    PlainPeer,
-    XmlRpcRefused,
-)
 from rossec.inprocess.identity import CONNECT_TIMEOUT, PlainSocketStream, Stream, now, peek
 from rossec.inprocess.process import REGISTRATIONS, SecuredProcess
 from rossec.inprocess.sockets import bracketed
 from rossec.net.limits import UNSHOWN_BODY
 from rossec.net.rpc import AT_ONCE, CALL_DEADLINE, REQUEST_DEADLINE
-from rossec.participant import slave_api
-from rossec.participant.access import wire_name
-from rossec.participant.handshakes import answer_for, answer_here, offer_refusal
+from rossec.participant import access, handshakes, slave_api
 from rossec.participant.registrations import (
     REFUSED,
     SEARCH,
@@ -54,9 +45,8 @@ from rossec.participant.registrations import (
     unheard_refusal,
 )
 from rossec.participant.slave_api import SLAVE_CALLS, check_slave_call, ports_answer, refusal, topic_offer
-from rossec.ros import names
+from rossec.ros import http, names
 from rossec.ros.calls import CallClient, CallServer, value_in, value_steps
-from rossec.ros.http import Oversized
 from rossec.ros.names import PRESENT_GRANTS, SIGNED_UPDATES, is_forwarded_port, parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Call, Encoded, Fault
 
@@ -98,7 +88,7 @@ class XmlRpcServer:
             if self._is_master(peer):
                 stream.raise_unit_limit()
             self._serve(server, stream, peer)
-        except ChannelClosed:
+        except errors.ChannelClosed:
             pass
         except (HintedError, TimeoutError) as error:
             self._process.reporter.warn(f"refused {caller}", error)
@@ -114,8 +104,8 @@ class XmlRpcServer:
                 request = _next_request(calls, stream, end)
                 stream.settimeout(REQUEST_DEADLINE)
                 stream.sendall(self._answer(server, calls, request, peer, presented))
-        except HttpRefused as error:
-            with suppress(ChannelError, OSError):
+        except errors.HttpRefused as error:
+            with suppress(errors.ChannelError, OSError):
                 stream.sendall(calls.refuse(error.status))
 
     def _answer_plain(self, request: socket.socket, address: str) -> None:
@@ -136,7 +126,7 @@ class XmlRpcServer:
         self,
         server: Any,
         calls: CallServer,
-        request: bytes | Oversized,
+        request: bytes | http.Oversized,
         peer: Identity,
         presented: CallGrants,
     ) -> bytes:
@@ -145,7 +135,7 @@ class XmlRpcServer:
             return calls.respond(self._value(server, call.method, call.params, peer, presented))
         except Fault as fault:  # too long
             return calls.respond(fault)
-        except XmlRpcRefused as error:
+        except errors.XmlRpcRefused as error:
             return calls.respond(Fault(FAULT_CODE, str(error)))
 
     def _value(
@@ -201,15 +191,15 @@ class XmlRpcServer:
             self._process.registrations.set_publishers(params[1], params[2])
         match server._dispatch(method, params):  # noqa: SLF001 - stock's handler
             case [code, status, value]:
-                return [code, status, answer_for(peer, method, value)]
+                return [code, status, handshakes.answer_for(peer, method, value)]
             case answer:
                 return list(answer)
 
 
-def _load(calls: CallServer, request: bytes | Oversized, *, master: bool) -> Call:
+def _load(calls: CallServer, request: bytes | http.Oversized, *, master: bool) -> Call:
     # Threads that parse share the interpreter with those that publish, each with one share: so all callers
     # together have one. The master does not wait behind them.
-    if master or isinstance(request, Oversized) or len(request) <= AT_ONCE:
+    if master or isinstance(request, http.Oversized) or len(request) <= AT_ONCE:
         return calls.load(request)
     return in_steps(calls.load_steps(request, UNSHOWN_BODY), _parsing)
 
@@ -227,7 +217,7 @@ def in_steps(steps: Generator[None, None, ResultT], turn: Lock) -> ResultT:
 
 def _next_request(
     calls: CallServer, stream: Stream | PlainSocketStream, end: float | None
-) -> bytes | Oversized:
+) -> bytes | http.Oversized:
     request = calls.take()
     while request is None:
         waiting = end
@@ -242,7 +232,7 @@ def receive_some(stream: Stream | PlainSocketStream, end: float | None) -> bytes
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.receive_unit()
     if not data:
-        raise ChannelClosed("the peer closed the connection")
+        raise errors.ChannelClosed("the peer closed the connection")
     return bytes(data)
 
 
@@ -286,7 +276,7 @@ class XmlRpcClient:
             if method == _MULTICALL:
                 return self._multicall(params)
             named, key = self._with_own_name(method, params), searched_key(method, params)
-            refused = offer_refusal(method, named)
+            refused = handshakes.offer_refusal(method, named)
             if refused is not None:  # rospy.set_param ignores the answer
                 self._process.reporter.warn(f"{method}: {str(refused[1]).removeprefix(REFUSED)}")
                 return refused
@@ -297,7 +287,7 @@ class XmlRpcClient:
             )
         try:
             return _stock_types(self._call_node(uri, method, params))
-        except PlainPeer as error:  # rospy tries again after this one
+        except errors.PlainPeer as error:  # rospy tries again after this one
             raise ConnectionRefusedError(errno.ECONNREFUSED, self._report_refusal(uri, error)) from error
         except HintedError as error:
             raise ConnectionAbortedError(errno.ECONNABORTED, self._report_refusal(uri, error)) from error
@@ -376,7 +366,7 @@ class XmlRpcClient:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
             stream = self._process.connector.initiate(sock, WireProtocol.HTTP, address)
-        except PlainPeer:
+        except errors.PlainPeer:
             if not self._process.plain or method != "requestTopic" or is_forwarded_port(uri):
                 raise
             return self._call_plain(address, _named(method, params, local_identity.name), params)
@@ -393,7 +383,7 @@ class XmlRpcClient:
             match answer:
                 case [1, status, value]:
                     domain = local_identity.identity.domain
-                    return [1, status, answer_here(peer, domain, method, value)]
+                    return [1, status, handshakes.answer_here(peer, domain, method, value)]
                 case _:
                     return answer
         finally:
@@ -403,7 +393,7 @@ class XmlRpcClient:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         with sock:
             if not self._process.allows_plain(str(params[1]), sock.getpeername()[0]):
-                raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
+                raise errors.PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
             calls = CallClient(_host(address), compact=False)
             return _exchange(PlainSocketStream(sock), calls, "requestTopic", named)
 
@@ -413,7 +403,7 @@ def _named(method: str, params: Params, caller: str, peer: Identity | None = Non
         case _, ():
             return ()
         case "requestTopic", (_, str() as topic, *rest):
-            named = origin_of(topic) if peer is None else wire_name(peer, topic)
+            named = origin_of(topic) if peer is None else access.wire_name(peer, topic)
             return (caller, named, *rest)
         case _:
             return (caller, *params[1:])
@@ -422,7 +412,7 @@ def _named(method: str, params: Params, caller: str, peer: Identity | None = Non
 def _address(uri: str) -> tuple[str, int] | None:
     try:
         return parse_uri(uri)
-    except ConfigurationError:
+    except errors.ConfigurationError:
         return None
 
 

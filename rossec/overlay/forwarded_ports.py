@@ -7,16 +7,15 @@ address admits everybody. There is one for a target, whichever masters want it.
 import asyncio
 import logging
 import socket
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
 from ca.errors import HintedError
 from rossec.errors import LinkCrowded, RelayRefused
 from rossec.host.local_ports import LocalPort, Loopback, PortAdmission, PortPool
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import ForwardedPort, PeerWay, Target
-from rossec.overlay.mux import StreamTarget
 from rossec.participant import delivery
 
 LIMIT: Final = 4096
@@ -24,12 +23,7 @@ _log = logging.getLogger("rossec.overlay")
 _HINT: Final = "run a relay for each part of the site"
 
 
-class PeerTarget(NamedTuple):
-    peer: str
-    target: StreamTarget
-
-
-Carry: TypeAlias = Callable[[PeerTarget, socket.socket], Awaitable[None]]
+Carry: TypeAlias = Callable[[Target, socket.socket], Awaitable[None]]
 """Carries one connection until it is over, and owns it. May raise a `HintedError`."""
 
 
@@ -45,61 +39,78 @@ class OpenPorts:
         """Admitted: who it is, the far node finds out."""
 
 
-class RelayPorts:
-    """All forwarded ports of a relay; `on_given_up`: of one that had to make room for another one."""
+class ForwardedPortTable:
+    """All forwarded ports of a relay, and which masters want each.
+
+    `ways`: how each peer is reached; what is not there is no peer.
+    """
 
     def __init__(
         self,
         admission: PortAdmission,
         carry: Carry,
-        on_given_up: Callable[[PeerTarget], None] = lambda _: None,
+        ways: Callable[[], Mapping[str, PeerWay]],
         limit: int = LIMIT,
     ) -> None:
-        self._admission, self._carry, self._on_given_up = admission, carry, on_given_up
+        self._admission, self._carry, self.ways = admission, carry, ways
+        self.wanted: dict[Target, set[str]] = {}
+        self._dropped: dict[str, set[Target]] = {}  # by master
         self._tasks = TaskSet()
         self._leaving: set[LocalPort] = set()  # let nobody in any more
         self._ending: set[LocalPort] = set()
-        self._pool: PortPool[PeerTarget, LocalPort] = PortPool(self._give_up, limit=limit, hint=_HINT)
+        self._pool: PortPool[Target, LocalPort] = PortPool(self._give_up, limit=limit, hint=_HINT)
 
-    def __iter__(self) -> Iterator[PeerTarget]:
-        return iter(self._pool.keys())
-
-    def open(self, forwarded_port: PeerTarget) -> tuple[str, int]:
-        def make() -> LocalPort:
-            return LocalPort(self._admission, partial(self._attend, forwarded_port))
-
-        port = self._pool.get_or_open(forwarded_port, make)
+    async def open(self, target: Target, master: str) -> ForwardedPort:
+        if target.peer not in self.ways():
+            raise RelayRefused(
+                f"no relay is called {target.peer} here", f"rossec relay add {target.peer} FILE"
+            )
+        port = self._pool.get_or_open(
+            target, lambda: LocalPort(self._admission, partial(self._attend, target))
+        )
         port.open()
-        return self._admission.loopback.host, port.port
+        self.wanted.setdefault(target, set()).add(master)
+        return ForwardedPort(self._admission.loopback.host, port.port)
 
-    def close(self, forwarded_port: PeerTarget) -> None:
-        port = self._pool.remove(forwarded_port)
-        if port is None:
+    def release(self, target: Target, master: str) -> None:
+        masters = self.wanted.get(target, set())
+        masters.discard(master)
+        if masters or self.wanted.pop(target, None) is None:
             return
-        # Connections that it carries go on: the master wants it no more, their ends still may.
-        port.suspend()
-        self._leaving.add(port)
-        self._close_idle()
+        port = self._pool.remove(target)
+        if port is not None:
+            # Connections that it carries go on: the master wants it no more, their ends still may.
+            port.suspend()
+            self._leaving.add(port)
+            self._close_idle()
 
-    def close_peer(self, peer: str) -> None:
-        for forwarded_port in tuple(self):
-            if forwarded_port.peer == peer and (port := self._pool.remove(forwarded_port)) is not None:
+    def take_dropped(self, master: str) -> set[Target]:
+        # What `master` wants and `drop_peer` has closed since the last call.
+        # The peer may be back with another descriptor, and masters know the old forwarded ports.
+        return self._dropped.pop(master, set())
+
+    def drop_peer(self, peer: str) -> None:
+        for target in [each for each in self.wanted if each.peer == peer]:
+            for master in self.wanted.pop(target):
+                self._dropped.setdefault(master, set()).add(target)
+        for target in self._pool.keys():  # noqa: SIM118 - a pool iterates over its ports
+            if target.peer == peer and (port := self._pool.remove(target)) is not None:
                 self._end(port)
 
-    async def close_all(self) -> None:
+    async def close(self) -> None:
         ports = {*self._pool, *self._leaving, *self._ending}
-        for forwarded_port in tuple(self):
-            self._pool.remove(forwarded_port)
+        for target in self._pool.keys():  # noqa: SIM118
+            self._pool.remove(target)
         await asyncio.gather(*(port.close() for port in ports))
         await self._tasks.close()
 
-    async def _attend(self, forwarded_port: PeerTarget, sock: socket.socket) -> None:
+    async def _attend(self, target: Target, sock: socket.socket) -> None:
         try:
-            await self._carry(forwarded_port, sock)
+            await self._carry(target, sock)
         except HintedError as error:
             crowded = isinstance(error, LinkCrowded)  # one line for all that find no room
-            where = "a connection" if crowded else str(forwarded_port.target)
-            delivery.warn(_log, delivery.UNREACHED, where, forwarded_port.peer, error)
+            where = "a connection" if crowded else f"{target.kind} {target.name}"
+            delivery.warn(_log, delivery.UNREACHED, where, target.peer, error)
         finally:
             asyncio.get_running_loop().call_soon(self._close_idle)
 
@@ -109,9 +120,9 @@ class RelayPorts:
                 self._leaving.remove(port)
                 self._end(port)
 
-    def _give_up(self, forwarded_port: PeerTarget, port: LocalPort) -> None:
+    def _give_up(self, target: Target, port: LocalPort) -> None:
         self._end(port)
-        self._on_given_up(forwarded_port)
+        self.wanted.pop(target, None)
 
     def _end(self, port: LocalPort) -> None:
         port.suspend()
@@ -121,58 +132,3 @@ class RelayPorts:
     async def _ended(self, port: LocalPort) -> None:
         await port.close()
         self._ending.discard(port)
-
-
-class ForwardedPortTable:
-    """Which masters want a forwarded port; `ways`: how each peer is reached, what is not there is no peer."""
-
-    def __init__(
-        self,
-        admission: PortAdmission,
-        carry: Carry,
-        ways: Callable[[], Mapping[str, PeerWay]],
-        limit: int = LIMIT,
-    ) -> None:
-        self.ways: Final = ways
-        self._ports = RelayPorts(admission, carry, self._given_up, limit)
-        self._wanted: dict[Target, set[str]] = {}
-        self._dropped: dict[str, set[Target]] = {}  # by master
-
-    def __len__(self) -> int:
-        return len(self._wanted)
-
-    async def open(self, target: Target, master: str) -> ForwardedPort:
-        if target.peer not in self.ways():
-            raise RelayRefused(
-                f"no relay is called {target.peer} here", f"rossec relay add {target.peer} FILE"
-            )
-        host, port = self._ports.open(_forwarded_port(target))
-        self._wanted.setdefault(target, set()).add(master)
-        return ForwardedPort(host, port)
-
-    def release(self, target: Target, master: str) -> None:
-        masters = self._wanted.get(target, set())
-        masters.discard(master)
-        if not masters and self._wanted.pop(target, None) is not None:
-            self._ports.close(_forwarded_port(target))
-
-    def take_dropped(self, master: str) -> set[Target]:
-        # What `master` wants and `drop_peer` has closed since the last call.
-        # The peer may be back with another descriptor, and masters know the old forwarded ports.
-        return self._dropped.pop(master, set())
-
-    async def close(self) -> None:
-        await self._ports.close_all()
-
-    def drop_peer(self, peer: str) -> None:
-        for target in [each for each in self._wanted if each.peer == peer]:
-            for master in self._wanted.pop(target):
-                self._dropped.setdefault(master, set()).add(target)
-        self._ports.close_peer(peer)
-
-    def _given_up(self, forwarded_port: PeerTarget) -> None:
-        self._wanted.pop(Target(forwarded_port.peer, *forwarded_port.target), None)
-
-
-def _forwarded_port(target: Target) -> PeerTarget:
-    return PeerTarget(target.peer, StreamTarget(target.kind, target.name))

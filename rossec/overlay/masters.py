@@ -16,34 +16,19 @@ from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from ca.names import shown
 from ca.revocation.trust_status import TrustStatus
-from rossec import clock
+from rossec import clock, environment, errors, peer_limits
 from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.opening import post_quantum
-from rossec.environment import own_home, own_master
-from rossec.errors import (
-    AnswerMalformed,
-    AnswerRefused,
-    ChannelClosed,
-    RelayRefused,
-    RossecError,
-    StreamRefused,
-)
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.master.state.registry import is_connectable
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc import CallFailed, RpcClient
+from rossec.overlay import mux, wanted_ports
 from rossec.overlay.forwarded_ports import ForwardedPortTable
-from rossec.overlay.mux import MASTER
-from rossec.overlay.wanted_ports import Orders, WantedPorts
-from rossec.participant.access import Access
-from rossec.participant.connections import ConnectionTable, Dialer
-from rossec.participant.membership import LoadedIdentity, Membership
-from rossec.participant.registrations import PublisherGrace, Retry
-from rossec.peer_limits import printable
-from rossec.ros import names
+from rossec.participant import access, connections, membership, registrations
+from rossec.ros import names, xmlrpc
 from rossec.ros.names import RELAY_FORWARDED_PORTS, RELAY_TARGET, Settings, build_forwarded_port, parse_uri
-from rossec.ros.xmlrpc import Fault
 
 _log = logging.getLogger("rossec.overlay")
 OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
@@ -61,14 +46,14 @@ class RelayMember:
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
         self.settings: Final[Settings] = names.read((), environ, default_name=name)
-        home = NodeHome.of(own_home(environ), name)
-        loaded = LoadedIdentity(home, name, own_master(environ))
+        home = NodeHome.of(environment.own_home(environ), name)
+        loaded = membership.LoadedIdentity(home, name, environment.own_master(environ))
         self.home: Final = home
         self.name: Final = name
         self.master: Final = loaded.master
         self.identity: Final = loaded.identity
         self.trust_status: Final[TrustStatus] = loaded.trust_status
-        self.access: Final = Access(loaded.trust_status, master=loaded.master)
+        self.access: Final = access.Access(loaded.trust_status, master=loaded.master)
         suites = post_quantum(environ)
         verify = loaded.anchors.verify
         self.context: Final = SecureContext(
@@ -77,14 +62,14 @@ class RelayMember:
         self.link_context: Final = SecureContext(  # certificates by value, as links are made rarely
             loaded.live_credentials, verify, suites=suites, renews=Identity.renews
         )
-        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+        self._connections: connections.ConnectionTable[SecureStream[Identity]] = connections.ConnectionTable(
             loaded.trust_status, master=loaded.master
         )
         self._links: set[SecureStream[Identity]] = set()
         self._failed = False
-        self._dialer = Dialer(name, self.context, self.access.check_peer)
-        grace = PublisherGrace(clock.counter())
-        self._membership = Membership(loaded, self.access, self._connections, grace, self)
+        self._dialer = connections.Dialer(name, self.context, self.access.check_peer)
+        grace = registrations.PublisherGrace(clock.counter())
+        self._membership = membership.Membership(loaded, self.access, self._connections, grace, self)
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
@@ -106,7 +91,7 @@ class RelayMember:
         # changed.
         try:
             await self._membership.session.refresh()
-        except (HintedError, OSError, TimeoutError, Fault) as error:
+        except (HintedError, OSError, TimeoutError, xmlrpc.Fault) as error:
             # Asked again with the next heartbeat.
             _log.debug("%s: no lists from the master: %s", self.name, error)
 
@@ -116,7 +101,7 @@ class RelayMember:
         self._links.add(link)
         link.when_closed(partial(self._forget, link))
         if self._failed:
-            raise ChannelClosed("the relay has failed")
+            raise errors.ChannelClosed("the relay has failed")
         try:
             self.check_peer(link.peer)
         except RevocationsStale:
@@ -132,7 +117,7 @@ class RelayMember:
         try:
             self.check_peer(peer)
         except RevocationsStale:
-            if kind != MASTER or not peer.is_foreign:
+            if kind != mux.MASTER or not peer.is_foreign:
                 raise
 
     def _forget(self, link: SecureStream[Identity]) -> None:
@@ -199,10 +184,10 @@ class MasterLink:
         self.error = ""  # why the master is not polled now; empty: it is
         self._relay, self._instance, self._dial = relay, instance, dial
         self._forwarded_ports, self._on_masters = forwarded_ports, on_masters
-        self._wanted = WantedPorts()
+        self._wanted = wanted_ports.WantedPorts()
         self._asking: RpcClient | None = None
         self._turn = asyncio.Lock()
-        self._retry = Retry(SystemRandom().random)
+        self._retry = registrations.Retry(SystemRandom().random)
 
     async def run(self) -> None:
         try:
@@ -221,14 +206,14 @@ class MasterLink:
     async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
         try:
             answer = await self._ask(domain, kind, name)
-        except (AnswerRefused, Fault) as error:
-            text = error.faultString if isinstance(error, Fault) else error
-            raise StreamRefused(printable(f"{self.name}: {text}")) from error
+        except (errors.AnswerRefused, xmlrpc.Fault) as error:
+            text = error.faultString if isinstance(error, xmlrpc.Fault) else error
+            raise errors.StreamRefused(peer_limits.printable(f"{self.name}: {text}")) from error
         match answer:
             case [str() as host, int() as port] if is_connectable(build_forwarded_port(host, port), "http"):
                 return host, port
             case _:
-                raise AnswerMalformed(f"{self.name} says that a target is nowhere")
+                raise errors.AnswerMalformed(f"{self.name} says that a target is nowhere")
 
     async def _ask(self, domain: str, kind: str, name: str) -> object:
         for _ in range(2):  # the master ends a connection that was silent for long
@@ -239,7 +224,7 @@ class MasterLink:
                 client = self._asking
             try:
                 return await client.ask(RELAY_TARGET, self._relay, domain, kind, name)
-            except RossecError:
+            except errors.RossecError:
                 if client is not kept or not client.closed:
                     raise
         raise CallFailed(f"{self.name} ends every connection")
@@ -250,7 +235,7 @@ class MasterLink:
         # A master answers for its site: a node with an anonymous name, or another domain's, must not.
         if peer.is_foreign or peer.wildcard or peer.name != self.name:
             stream.abort("not the master of this relay")
-            raise RelayRefused(
+            raise errors.RelayRefused(
                 f"{shown(peer.name)} answers at the address of {self.name}",
                 "check ROS_MASTER_URI, and the URIs in: rossec federation list",
             )
@@ -274,7 +259,7 @@ class MasterLink:
             finally:
                 with contextlib.suppress(*_Failures):
                     await client.close()
-        except Fault as fault:
+        except xmlrpc.Fault as fault:
             self._report(f"it is older than this relay, update it: {fault.faultString}")
             return OLD_MASTER
         except _Failures as error:
@@ -282,7 +267,7 @@ class MasterLink:
             self._report(f"{error} ({hint})" if hint else str(error) or type(error).__name__)
         return self._retry.pause(asyncio.get_running_loop().time())
 
-    async def _carry_out(self, orders: Orders) -> None:
+    async def _carry_out(self, orders: wanted_ports.Orders) -> None:
         for target in orders.close:
             self._forwarded_ports.release(target, self.name)
         again = self._wanted.lost(self._forwarded_ports.take_dropped(self.name))
@@ -292,11 +277,11 @@ class MasterLink:
             except _Failures as error:
                 if self._wanted.failed(target):
                     where = f"{target.name} of {target.peer}"
-                    _log.warning("no forwarded port for %s: %s", where, printable(error))
+                    _log.warning("no forwarded port for %s: %s", where, peer_limits.printable(error))
         self._on_masters(orders.masters)
 
     def _report(self, text: str) -> None:
-        text = printable(text)
+        text = peer_limits.printable(text)
         if text != self.error:
             _log.warning("%s: %s", self.name, text)
         self.error = text
@@ -334,18 +319,18 @@ class OwnMasters:
         self._failed.cancel()
 
     async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
-        if kind == MASTER:
+        if kind == mux.MASTER:
             links = [self._links[name]] if name in self._links else []
         else:
             links = list(self._links.values())
-        refusal: HintedError = RelayRefused(f"no {kind} {name} is shown there")
+        refusal: HintedError = errors.RelayRefused(f"no {kind} {name} is shown there")
         for link in links:
             try:
                 return await link.target(domain, kind, name)
             except HintedError as error:
                 refusal = error
             except (OSError, TimeoutError) as error:
-                refusal = RelayRefused(f"{link.name} does not answer: {error}")
+                refusal = errors.RelayRefused(f"{link.name} does not answer: {error}")
         raise refusal
 
     def status(self) -> dict[str, str]:

@@ -19,24 +19,12 @@ from typing import Any, Final, TypeAlias
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import RELAY, is_master_name, pattern_covers, shown
-from rossec.errors import (
-    ChannelError,
-    HandshakeFailed,
-    HandshakeTimeout,
-    OverlayUnavailable,
-    PeerRefused,
-    RelayRefused,
-    StreamRefused,
-)
-from rossec.host.local_ports import PortAdmission
-from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import PeerWay
+from rossec import errors
+from rossec.host import local_ports, runner
+from rossec.master.state.forwarded_ports import PeerWay, Target
 from rossec.net.aio import SecureStream
+from rossec.overlay import endpoint, forwarded_ports, link_frames, masters
 from rossec.overlay.documents import Peer, Peers
-from rossec.overlay.endpoint import LinkListener, RouterNetwork, idle_round_trip
-from rossec.overlay.forwarded_ports import ForwardedPortTable, PeerTarget
-from rossec.overlay.link_frames import inbox
-from rossec.overlay.masters import OwnMasters, RelayMember
 from rossec.overlay.mux import Role, StreamTarget
 from rossec.overlay.streams import Pump, Streams
 from rossec.overlay.targets import LinkPeer as RemoteRelay
@@ -77,11 +65,11 @@ class PeerLink:
         self.peer: Final = peer
         self.error = self.hint = ""  # why there is no link, though one was wanted
         self._dial, self._clock = dial, clock
-        self._tasks = TaskSet()
+        self._tasks = runner.TaskSet()
         self.stream: SecureStream[Identity] | None = None
         self._streams: Streams | None = None
         self._carrying: asyncio.Task[None] | None = None
-        self._dialling: asyncio.Task[Streams | RelayRefused] | None = None
+        self._dialling: asyncio.Task[Streams | errors.RelayRefused] | None = None
         self._pause = 0.0
         self._said = ""  # in the log, of a failure that goes on
         self._not_before = 0.0
@@ -105,11 +93,11 @@ class PeerLink:
                 if self._dialling is None:
                     # Those who ask soon after a failure are told it at once: nodes try again by themselves.
                     if self._clock() < self._not_before:
-                        raise RelayRefused(self.error, self.hint)
+                        raise errors.RelayRefused(self.error, self.hint)
                     self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
                     self._dialling.add_done_callback(self._dialled)
                 found = await asyncio.shield(self._dialling)
-                if isinstance(found, RelayRefused):
+                if isinstance(found, errors.RelayRefused):
                     raise copy(found)  # others wait for it too
                 streams = found
         except BaseException:
@@ -128,10 +116,10 @@ class PeerLink:
 
     # -- making one
 
-    async def _make(self) -> Streams | RelayRefused:
+    async def _make(self) -> Streams | errors.RelayRefused:
         try:
             stream = await self._dial(self.peer)
-        except (TimeoutError, HandshakeTimeout):  # nobody reads that inbox
+        except (TimeoutError, errors.HandshakeTimeout):  # nobody reads that inbox
             return self._failed(f"{self.peer.label} does not answer", _SILENT)
         except HintedError as error:
             return self._failed(str(error), error.hint)
@@ -139,7 +127,9 @@ class PeerLink:
             return self._failed(f"no link to {self.peer.label}: {error}", _SILENT)
         self.error = self.hint = ""
         self._not_before = 0.0
-        streams = Streams(stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream))
+        streams = Streams(
+            stream, Role.CALLER, self.peer.label, round_trip=partial(endpoint.idle_round_trip, stream)
+        )
         self.stream, self._streams = stream, streams
         self._carrying = self._tasks.spawn(self._run(stream, streams), f"to {self.peer.label}")
         _log.info("link to %s", self.peer.label)
@@ -148,14 +138,14 @@ class PeerLink:
     def _dialled(self, _: object) -> None:
         self._dialling = None
 
-    def _failed(self, text: str, hint: str) -> RelayRefused:
+    def _failed(self, text: str, hint: str) -> errors.RelayRefused:
         self._pause = min(max(2 * self._pause, _FIRST_PAUSE), _LONGEST_PAUSE)
         self._not_before = self._clock() + self._pause
         self.error, self.hint = printable(text), printable(hint)
         if self.error != self._said:
             _log.warning("no link to %s: %s (%s)", self.peer.label, self.error, self.hint)
         self._said = self.error
-        return RelayRefused(self.error, self.hint)
+        return errors.RelayRefused(self.error, self.hint)
 
     def _settle(self) -> None:
         self._pause, self._said = 0.0, ""
@@ -163,10 +153,10 @@ class PeerLink:
     async def _run(self, stream: SecureStream[Identity], streams: Streams) -> None:
         try:
             await streams.run()
-        except (HandshakeFailed, PeerRefused) as error:  # whoever is called judges last
+        except (errors.HandshakeFailed, errors.PeerRefused) as error:  # whoever is called judges last
             if self.stream is stream:
                 self._failed(str(error), _ENDED)
-        except (ChannelError, StreamRefused) as error:
+        except (errors.ChannelError, errors.StreamRefused) as error:
             _log.warning("the link to %s ended: %s", self.peer.label, printable(error))
             if self.stream is stream:
                 self.error, self.hint = printable(error), _ENDED
@@ -181,21 +171,21 @@ class Relay:
 
     def __init__(
         self,
-        member: RelayMember,
-        network: RouterNetwork,
-        admission: PortAdmission,
+        member: masters.RelayMember,
+        network: endpoint.RouterNetwork,
+        admission: local_ports.PortAdmission,
         read_peers: Callable[[], Peers],
     ) -> None:
         self._member, self._network, self._read_peers = member, network, read_peers
         self._peers: dict[str, Peer] = {}
         self._links: dict[str, PeerLink] = {}
-        self._inboxes: dict[str, LinkListener[Identity]] = {}
+        self._inboxes: dict[str, endpoint.LinkListener[Identity]] = {}
         self._called: dict[str, list[tuple[SecureStream[Identity], Streams]]] = {}
-        self._table: Final = ForwardedPortTable(admission, self._carry, self.ways)
-        self._masters = OwnMasters(member, secrets.token_hex(16), self._table)
+        self._table: Final = forwarded_ports.ForwardedPortTable(admission, self._carry, self.ways)
+        self._masters = masters.OwnMasters(member, secrets.token_hex(16), self._table)
         ports = TopicPorts(member.context, member.name, member.access.check_peer)
         self._targets = Targets(self._masters.target, ports)
-        self._tasks = TaskSet(self._crashed)
+        self._tasks = runner.TaskSet(self._crashed)
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._problem = ""
 
@@ -252,10 +242,10 @@ class Relay:
             await self._drop(label)
         for label in found.keys() - self._peers.keys():
             peer = found[label]
-            key = inbox(self._network.account, bytes.fromhex(peer.box))
+            key = link_frames.inbox(self._network.account, bytes.fromhex(peer.box))
             try:
                 self._inboxes[label] = self._network.listen(key, partial(self._serve, peer), label)
-            except OverlayUnavailable as error:  # tried again in a second
+            except errors.OverlayUnavailable as error:  # tried again in a second
                 _log.warning("%s: %s", label, error)
                 continue
             self._peers[label] = peer
@@ -285,18 +275,18 @@ class Relay:
 
     # -- links
 
-    async def _carry(self, forwarded_port: PeerTarget, sock: socket.socket) -> None:
-        link = self._links.get(forwarded_port.peer)
+    async def _carry(self, target: Target, sock: socket.socket) -> None:
+        link = self._links.get(target.peer)
         if link is None:
             sock.close()
-            raise RelayRefused(f"no relay is called {forwarded_port.peer} any more")
-        await link.carry(forwarded_port.target, sock)
+            raise errors.RelayRefused(f"no relay is called {target.peer} any more")
+        await link.carry(StreamTarget(target.kind, target.name), sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
         # Say before the handshake what would be less clear after it.
         listed = self._member.trust_status.anchors.listed(peer.domain) if peer.domain else None
         if peer.domain and listed is None:
-            raise RelayRefused(
+            raise errors.RelayRefused(
                 f"no trusted domain is called {peer.domain}",
                 "at this side's authority: rossec domain accept DESCRIPTOR",
             )
@@ -305,7 +295,7 @@ class Relay:
             # The options that admit whom the list admits, and so its relays too, but nobody else.
             nodes = [each for each in admitted if not is_master_name(each.replace("*", "x"))]
             options = " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
-            raise RelayRefused(
+            raise errors.RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
                 f"at this side's authority: rossec domain limit {peer.domain} {options}",
             )
@@ -336,7 +326,7 @@ class Relay:
             self._member.check_target(stream.peer, target.kind)
             return await dial(target, pump)
 
-        round_trip = partial(idle_round_trip, stream)
+        round_trip = partial(endpoint.idle_round_trip, stream)
         streams = Streams(stream, Role.CALLED, peer.label, connect, round_trip=round_trip)
         entry = stream, streams
         called = self._called.setdefault(peer.label, [])
@@ -346,7 +336,7 @@ class Relay:
         _log.info("link from %s", peer.label)
         try:
             await streams.run()
-        except (ChannelError, StreamRefused) as error:
+        except (errors.ChannelError, errors.StreamRefused) as error:
             _log.info("the link from %s ended: %s", peer.label, printable(error))
         finally:
             called.remove(entry)
@@ -371,7 +361,7 @@ class Relay:
                 }
                 for label, link in sorted(self._links.items())
             ],
-            "forwarded_ports": len(self._table),
+            "forwarded_ports": len(self._table.wanted),
             "problem": self._problem,
         }
 

@@ -25,8 +25,7 @@ from rossec.net.aio.client import dial
 from rossec.net.rpc import RpcClient
 from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
 from rossec.overlay.streams import Pump
-from rossec.ros.names import PORTS, is_loopback
-from rossec.ros.xmlrpc import Fault
+from rossec.ros import names, xmlrpc
 
 KEPT_SECONDS: Final = 30.0
 MOST: Final = 4096
@@ -103,8 +102,8 @@ class TopicPorts:
             if peer.is_foreign or not peer.covers(name):
                 raise RelayRefused(f"{shown(peer.name)} answers at the address that {shown(name)} registered")
             self._check_peer(peer, clock.now())
-            answer = await RpcClient(stream).ask(PORTS, self._name)
-        except Fault as fault:
+            answer = await RpcClient(stream).ask(names.PORTS, self._name)
+        except xmlrpc.Fault as fault:
             raise RelayRefused(
                 f"{shown(name)} is older than this relay: {fault.faultString}", "update its rossec"
             ) from fault
@@ -170,7 +169,7 @@ async def dial_from(source: str, host: str, port: int) -> socket.socket:
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     # On this host: also where it would take the address for its own, as 0.0.0.0.
     addresses = [str(address) for *_, (address, *_) in found]
-    here = [each for each in addresses if is_here(each) or is_loopback(each)]
+    here = [each for each in addresses if is_here(each) or names.is_loopback(each)]
     if here:
         address = here[0]
         sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

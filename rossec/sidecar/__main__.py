@@ -16,15 +16,11 @@ from ca.errors import HintedError
 from rossec.channel.opening import post_quantum
 from rossec.discovery import discover_master
 from rossec.environment import own_home, own_master
-from rossec.host import local_ports
-from rossec.host.addresses import warn_of_own_address
+from rossec.host import addresses, local_ports, runner
 from rossec.host.callers import Callers
-from rossec.host.runner import stop_on_signals
 from rossec.peer_limits import LogRateLimit, printable
 from rossec.ros import names
-from rossec.sidecar import child
-from rossec.sidecar.child import raise_limit
-from rossec.sidecar.server import Sidecar
+from rossec.sidecar import child, server
 
 _REFUSED = 1
 _log = logging.getLogger("rossec.sidecar")
@@ -52,13 +48,13 @@ def main() -> int:
 
 
 async def _run(options: dict[str, Any]) -> int:
-    limits = raise_limit()
+    limits = child.raise_limit()
     before = await discover_master(child.outer_environment(os.environ), options["identity"])
     users, ancestor = options["users"] or {os.getuid()}, None
     if options["command"]:
         users, ancestor = {os.getuid()}, os.getpid()
     callers = Callers(users, ancestor, local_ports.find_loopback())
-    sidecar = Sidecar(
+    sidecar = server.Sidecar(
         own_home(before),
         names.read((), before, default_name="/sidecar"),
         callers,
@@ -69,7 +65,7 @@ async def _run(options: dict[str, Any]) -> int:
         master_name=own_master(before),
     )
     sidecar.start()
-    warn_of_own_address(
+    addresses.warn_of_own_address(
         names.own_address(before), before, lambda error: _log.warning("%s (%s)", error, error.hint)
     )
     try:
@@ -77,7 +73,7 @@ async def _run(options: dict[str, Any]) -> int:
             child.adopt_orphans()
             environ = child.program_environment(os.environ, before, sidecar.uri, callers.loopback)
             return await child.run(options["command"], environ, limits)
-        stop = stop_on_signals()
+        stop = runner.stop_on_signals()
         sys.stdout.write(f"sidecar at {sidecar.uri}\n")
         sys.stdout.flush()
         await stop.wait()

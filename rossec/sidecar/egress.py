@@ -15,11 +15,9 @@ from ca.errors import HintedError
 from ca.names import shown
 from grants.model import Right
 from grants.request import MissingRight, is_dispensable, missing_right, refusal
-from rossec import clock
+from rossec import clock, errors
 from rossec.channel.opening import WireProtocol
-from rossec.errors import HangUp, PeerUnreachable, RossecError
-from rossec.host.local_ports import PortPool
-from rossec.host.runner import TaskSet
+from rossec.host import local_ports, runner
 from rossec.net.aio import SecureStream
 from rossec.net.limits import message_limit, unit_limit
 from rossec.net.rpc import serve_calls
@@ -30,7 +28,6 @@ from rossec.participant.handshakes import text
 from rossec.participant.registrations import REFUSED, nothing_shown, shows_nothing, unheard_refusal
 from rossec.peer_limits import printable
 from rossec.ros import tcpros
-from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.sidecar import pump
 from rossec.sidecar.core import node_connections
 from rossec.sidecar.core.guards import ProgramMemories, ReplaceableGuard, Replacing
@@ -38,7 +35,6 @@ from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
-from rossec.sidecar.pump import split_header
 
 T = TypeVar("T")
 _log = logging.getLogger("rossec.sidecar")
@@ -127,7 +123,7 @@ class RefusalLog:
         if self._reasons.add(reason):
             _log.warning("%s refuses %s: %s", refuser, method, printable(reason, _LINE))
 
-    def unreachable(self, peer: str, error: PeerUnreachable) -> None:
+    def unreachable(self, peer: str, error: errors.PeerUnreachable) -> None:
         # The program sees a closed connection, and tries again in silence.
         if isinstance(error.__cause__, ConnectionRefusedError) or not self._paths.add(peer):
             return
@@ -154,11 +150,11 @@ class Egress:
     ) -> None:
         self._services, self._agent, self._connections = services, agent, connections
         self._filter_key, self._on_topic_ended = filter_key, on_topic_ended
-        self._tasks = TaskSet()
+        self._tasks = runner.TaskSet()
         self._refusals = RefusalLog()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(memory_scope(agent.identity.name))
         self.followed: FollowedPublishers[ListeningAddress] = FollowedPublishers(agent.is_listed)
-        self.ports = PortPool(self._close_port)
+        self.ports = local_ports.PortPool(self._close_port)
 
     def open(self, remote: ListeningAddress) -> int:
         listener = self._port_for(remote)
@@ -211,7 +207,7 @@ class Egress:
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
-                    fields, after_request = await split_header(program)
+                    fields, after_request = await pump.split_header(program)
                     layer = node_connections.connect_to_peer(
                         self._agent,
                         remote,
@@ -221,7 +217,7 @@ class Egress:
                         clock.now(),
                     )
                     admitted = await executor.run(layer)
-            except HangUp as error:
+            except errors.HangUp as error:
                 _log.info("no connection to %s: %s", remote.uri, error)
                 self._topic_ended(fields, began)  # rospy would give it up
                 return
@@ -237,7 +233,7 @@ class Egress:
                     self.followed.add(executor.stream, text(fields, "topic"), api)
                 await self._forward(admitted, program, executor.stream, after_request, executor.after_header)
                 self._topic_ended(fields, began)
-        except (RossecError, TimeoutError) as error:
+        except (errors.RossecError, TimeoutError) as error:
             _log.info("a connection to %s ended: %s", remote.uri, error)
         finally:
             self._memories.release(executor)
@@ -268,6 +264,6 @@ class Egress:
             if admitted.service:
                 await pump.exchange(program, stream, after_request, after_answer)
             else:
-                stream.raise_unit_limit(unit_limit(admitted.message_size, MESSAGE_LIMIT))
-                max_length = message_limit(admitted.message_size, MESSAGE_LIMIT)
+                stream.raise_unit_limit(unit_limit(admitted.message_size, tcpros.MESSAGE_LIMIT))
+                max_length = message_limit(admitted.message_size, tcpros.MESSAGE_LIMIT)
                 await pump.subscribe(program, stream, guard, after_answer, max_length)

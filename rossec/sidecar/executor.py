@@ -19,12 +19,9 @@ from rossec.host.local_sockets import Holder
 from rossec.net.aio.client import dial
 from rossec.net.aio.stream import SecureStream
 from rossec.net.rpc import RpcClient
-from rossec.ros import tcpros
-from rossec.ros.names import PRESENT_GRANTS
-from rossec.ros.xmlrpc import FAULT_CODE, Fault
+from rossec.ros import names, tcpros, xmlrpc
+from rossec.sidecar import loopback_port, pump
 from rossec.sidecar.core import layers
-from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import End, split_header
 
 DEADLINE: Final = 10.0
 
@@ -66,7 +63,7 @@ class CommandExecutor:
         self._services = services
         self._program_rpc: RpcClient | None = None
         self._peer_client: SlaveApiClient | None = None
-        self.program: PlainStream | None = None  # the TCPROS connection to a program,
+        self.program: loopback_port.PlainStream | None = None  # the TCPROS connection to a program,
         self.stream: SecureStream[Identity] | None = None  # or to a peer
         self.after_header = b""  # the bytes it sent after its header
 
@@ -76,7 +73,7 @@ class CommandExecutor:
             while True:
                 try:
                     event = await self._execute(command)
-                except Fault as fault:  # a valid answer; in a multicall that of one element
+                except xmlrpc.Fault as fault:  # a valid answer; in a multicall that of one element
                     command = layer.throw(fault)
                 else:
                     command = layer.send(event)
@@ -119,7 +116,7 @@ class CommandExecutor:
         except ConnectionRefusedError as error:
             return layers.NoAnswer(str(error), dead=True)
         except XmlRpcRefused as error:  # an answer, or the program would call again for ever
-            raise Fault(FAULT_CODE, f"rossec: {error}") from error
+            raise xmlrpc.Fault(xmlrpc.FAULT_CODE, f"rossec: {error}") from error
         except (HintedError, OSError, TimeoutError) as error:
             return layers.NoAnswer(str(error) or "no answer in time")
 
@@ -146,7 +143,7 @@ class CommandExecutor:
                 assert_never(request)
 
     async def _connect(self, request: layers.ConnectProgram | layers.ConnectPeer) -> layers.Event:
-        end: End
+        end: pump.End
         peer = None
         if isinstance(request, layers.ConnectPeer):
             end = stream = await self._stream_to(request.remote)
@@ -155,7 +152,7 @@ class CommandExecutor:
             await self._close_program_rpc()
             end = self.program = await self._connect_program(request.local)
         await end.send(tcpros.encode(request.fields))
-        answer, self.after_header = await split_header(end)
+        answer, self.after_header = await pump.split_header(end)
         return layers.HeaderArrived(answer, peer, clock.now())
 
     async def _stream_to(self, remote: layers.ListeningAddress) -> SecureStream[Identity]:
@@ -174,7 +171,7 @@ class CommandExecutor:
             )
         return self._program_rpc
 
-    async def _connect_program(self, local: layers.ListeningAddress) -> PlainStream:
+    async def _connect_program(self, local: layers.ListeningAddress) -> loopback_port.PlainStream:
         # Checked before and after: between the two the program may have ended, and another have its port.
         callers = self._services.callers
         holders = await callers.check_listener(local.port)
@@ -186,7 +183,7 @@ class CommandExecutor:
         except BaseException:
             sock.close()
             raise
-        return PlainStream(sock)
+        return loopback_port.PlainStream(sock)
 
     async def _probe_egress(self, remote: layers.ListeningAddress) -> int:
         # Open a port only if the peer answers; its connection is cached for the next caller.
@@ -227,8 +224,8 @@ class CommandExecutor:
 
     async def _present_grants(self, client: SlaveApiClient, right: Right) -> None:
         grants = self._services.proof(right, client.peer.name)
-        with contextlib.suppress(Fault):
-            await client.rpc.call(PRESENT_GRANTS, self._services.name, grants)
+        with contextlib.suppress(xmlrpc.Fault):
+            await client.rpc.call(names.PRESENT_GRANTS, self._services.name, grants)
         client.presented.add(right)
 
 

@@ -23,28 +23,21 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream, connect
 from rossec.net.aio.server import Handler, SecureServer, serve
 from rossec.net.limits import ACCEPTED, PREAUTH_LIMIT
+from rossec.participant import authorized, definitions, delivery
 from rossec.participant.access import Access
-from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.connections import ConnectionTable, serve_peer
-from rossec.participant.definitions import FilterKey
-from rossec.participant.delivery import DeliveryQueue
-from rossec.ros import names, tcpros
-from rossec.ros.names import SIGNED_UPDATES, is_loopback
-from rossec.ros.tcpros import MESSAGE_LIMIT
-from rossec.ros.xmlrpc import BODY_LIMIT
-from rossec.sidecar import pump
-from rossec.sidecar.core import node_connections
-from rossec.sidecar.core.guards import CopyTracker, ProgramMemories, Replacing
+from rossec.ros import names, tcpros, xmlrpc
+from rossec.sidecar import loopback_port, pump
+from rossec.sidecar.core import guards, node_connections
 from rossec.sidecar.core.layers import AgentState, ListeningAddress
-from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import split_header
 
 # Peers send headers and requests; what programs send leaves in small units.
 ACCEPT_LIMITS: Final = {
     **ACCEPTED,
-    WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT),
+    WireProtocol.TCPROS: ChannelLimits(
+        unit=tcpros.MESSAGE_LIMIT + xmlrpc.BODY_LIMIT, preauth_limit=PREAUTH_LIMIT
+    ),
 }
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 _ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
@@ -74,7 +67,7 @@ class PeerConnector:
 
     def listen(self, handler: Handler[Identity], host: str, protocol: WireProtocol) -> SecureServer[Identity]:
         # The port is bound explicitly, so that the kernel reserves it while the server is suspended.
-        bind = host if is_loopback(host) else None
+        bind = host if names.is_loopback(host) else None
         return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))
 
 
@@ -87,14 +80,14 @@ class Ingress:
         agent: AgentState,
         connector: PeerConnector,
         connections: ConnectionTable[SecureStream[Identity]],
-        filter_key: FilterKey,
+        filter_key: definitions.FilterKey,
         on_push: PushHandler,
     ) -> None:
         self._services, self._agent, self._connector = services, agent, connector
         self._connections, self._filter_key, self._on_push = connections, filter_key, on_push
         self._tasks = TaskSet()
-        self._copies = CopyTracker()
-        self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
+        self._copies = guards.CopyTracker()
+        self._memories = guards.ProgramMemories(authorized.memory_scope(agent.identity.name), self._is_dead)
         self.ports = PortPool(self._close_port, self._is_dead)
         self._listeners: dict[ListeningAddress, list[Holder]] = {}  # of each port, when it was opened
         self._ended: PortPool[int, SecureServer[Identity]] = PortPool(self._close_ended, limit=_ENDED)
@@ -166,7 +159,7 @@ class Ingress:
         async def dispatch(method: str, params: tuple[object, ...], peer: Identity) -> object:
             try:
                 match method, params:
-                    case update, (_, *rest) if update in SIGNED_UPDATES:
+                    case update, (_, *rest) if update in names.SIGNED_UPDATES:
                         if not self._agent.access.is_master(peer):
                             raise RossecError(f"{update} is for the master alone")
                         self._on_push(update, (*rest,), peer)
@@ -199,7 +192,7 @@ class Ingress:
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
-                    fields, after_request = await split_header(stream)
+                    fields, after_request = await pump.split_header(stream)
                     layer = node_connections.admit_peer(
                         self._agent,
                         local,
@@ -225,8 +218,8 @@ class Ingress:
 
     async def _forward(
         self,
-        admitted: AdmittedConnection,
-        program: PlainStream,
+        admitted: node_connections.AdmittedConnection,
+        program: loopback_port.PlainStream,
         stream: SecureStream[Identity],
         after_request: bytes,
         after_answer: bytes,
@@ -234,8 +227,8 @@ class Ingress:
         latching, peer = admitted.answer.get("latching") == b"1", shown(stream.peer.name)
         shared = self._copies.share(admitted.guard, clock.time(), latching=latching)
         with pump.log_end(peer), shared as (guard, initial):
-            replacing = Replacing(guard, admitted.rebuild, to_peer=True)
-            connection = AuthorizedConnection(
+            replacing = guards.Replacing(guard, admitted.rebuild, to_peer=True)
+            connection = authorized.AuthorizedConnection(
                 stream, admitted.decision, admitted.guard, replacing.rebuild, replacing.swap
             )
             with self._connections.track(connection):
@@ -246,7 +239,7 @@ class Ingress:
                 elif after_request:
                     _log.warning("%s sends data where it subscribes", peer)
                 elif admitted.options:
-                    sender = DeliveryQueue(stream, admitted.options)
+                    sender = delivery.DeliveryQueue(stream, admitted.options)
                     if initial:
                         sender.enqueue(initial)
                     await pump.publish_by_options(program, stream, guard, after_answer, sender)

@@ -26,21 +26,15 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
 from rossec.net.rpc import serve_calls
+from rossec.participant import connections, host_types, membership, registrations, slave_api
 from rossec.participant.access import Access
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.host_types import known_type
-from rossec.participant.membership import LoadedIdentity, Membership
-from rossec.participant.registrations import GRAPH, SEARCH, PublisherGrace
-from rossec.participant.slave_api import without_caller
 from rossec.ros.names import MASTER, Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
+from rossec.sidecar import egress, ingress, loopback_port
 from rossec.sidecar.core import master_calls
 from rossec.sidecar.core.layers import AgentState, EndpointMap, Layer, ListeningAddress
 from rossec.sidecar.core.master_calls import MULTICALL, ResubscribeQueue, rule_of
-from rossec.sidecar.egress import Egress, RefusalLog
 from rossec.sidecar.executor import AgentServices, SlaveApiClient, run_layer
-from rossec.sidecar.ingress import ACCEPT_LIMITS, Ingress, PeerConnector
-from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 
 LIFETIME: Final = 5.0
 _PERIOD: Final = 1.0
@@ -133,30 +127,32 @@ class Agent:
         master_name: str = MASTER,
     ) -> None:
         self.home, self.callers, self._settings = home, callers, settings
-        loaded = LoadedIdentity(home, home.name, master_name)
+        loaded = membership.LoadedIdentity(home, home.name, master_name)
         access = Access(loaded.trust_status, master=master_name)
         endpoints = EndpointMap(settings.address or "", callers.loopback.host)
-        publisher_grace = PublisherGrace(clock.counter())
-        self.state = AgentState(loaded.identity, access, endpoints, master_uri, known_type, publisher_grace)
+        publisher_grace = registrations.PublisherGrace(clock.counter())
+        self.state = AgentState(
+            loaded.identity, access, endpoints, master_uri, host_types.known_type, publisher_grace
+        )
         context = SecureContext(
             loaded.live_credentials,
             loaded.anchors.verify,
             suites=suites,
             known=KnownCertificates(),
-            accept_limits=ACCEPT_LIMITS,
+            accept_limits=ingress.ACCEPT_LIMITS,
             half_open=half_open,
             renews=Identity.renews,
         )
-        self._connector = PeerConnector(context, access)
-        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+        self._connector = ingress.PeerConnector(context, access)
+        self._connections: connections.ConnectionTable[SecureStream[Identity]] = connections.ConnectionTable(
             loaded.trust_status, master=master_name
         )
-        self._membership = Membership(loaded, access, self._connections, publisher_grace, self)
+        self._membership = membership.Membership(loaded, access, self._connections, publisher_grace, self)
         self._resubscriber = Resubscriber(self, self.state)
-        self._ingress = Ingress(
+        self._ingress = ingress.Ingress(
             self, self.state, self._connector, self._connections, home.filter_key, self._membership.take_push
         )
-        self._egress = Egress(
+        self._egress = egress.Egress(
             self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
         )
         self._cache = ConnectionCache()
@@ -165,7 +161,7 @@ class Agent:
         self.leads_to = self._ingress.leads_to
         self.open_egress, self.refuse_egress = self._egress.open, self._egress.refuse
         self.cache_client, self.cached_client = self._cache.put, self._cache.take
-        self._refusals = RefusalLog()
+        self._refusals = egress.RefusalLog()
         self._has_failed = False
         self._start_lock = asyncio.Lock()
         self._started = False
@@ -181,7 +177,7 @@ class Agent:
             if not self._started:
                 await self._start()
         answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
-        if method not in GRAPH or not self._holds(Right.GRAPH, self.name):
+        if method not in registrations.GRAPH or not self._holds(Right.GRAPH, self.name):
             self._refusals.log_own(self.name, method, answer)
         return answer
 
@@ -282,7 +278,7 @@ class Sidecar:
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
         try:
-            master = LoopbackPort(self._callers, self._serve, port)
+            master = loopback_port.LoopbackPort(self._callers, self._serve, port)
         except OSError as error:
             address = self._callers.loopback.address
             raise ConfigurationError(
@@ -307,20 +303,20 @@ class Sidecar:
         await self._master.close()
         await asyncio.gather(*(agent.close() for agent in self._agents.values()))
 
-    async def _serve(self, program: PlainStream) -> None:
+    async def _serve(self, program: loopback_port.PlainStream) -> None:
         await serve_calls(program, partial(self._dispatch, program), compact=False)
 
     async def _dispatch(
-        self, program: PlainStream, method: str, params: tuple[object, ...], _: str
+        self, program: loopback_port.PlainStream, method: str, params: tuple[object, ...], _: str
     ) -> object:
         if method == MULTICALL and params == ([],):  # no caller: roslaunch without parameters
             return []
-        refused = None if method == MULTICALL else without_caller(params, rule_of(method).default)
+        refused = None if method == MULTICALL else slave_api.without_caller(params, rule_of(method).default)
         if refused is not None:
             return refused
         try:
             name = _caller(method, params)
-            agent = await self._searching(program, name) if method == SEARCH else None
+            agent = await self._searching(program, name) if method == registrations.SEARCH else None
             agent = agent or self._agent_for(name)
             return await agent.handle_call(method, params)
         except (HangUp, Fault):
@@ -332,7 +328,7 @@ class Sidecar:
             _log.warning("%s: %s", method, error)
             return [-1, f"rossec: {error}", 0]
 
-    async def _searching(self, program: PlainStream, space: str) -> Agent | None:
+    async def _searching(self, program: loopback_port.PlainStream, space: str) -> Agent | None:
         # roscpp's `searchParam` calls with a namespace of its node. Several nodes in it, or one that has
         # this very name: the process decides.
         if self._default is not None and not self._each:

@@ -16,7 +16,6 @@ from rossec.master.rights.renewals import OFFER_LIMIT, Settlement
 from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, ForwardedPort, PeerWay, Target
 from rossec.master.state.registry import is_connectable, is_type_name
 from rossec.ros import names
-from rossec.ros.names import build_forwarded_port
 
 KEY_LIMIT: Final = 255
 _TEXT_LIMIT: Final = 255
@@ -146,7 +145,7 @@ def forwarded_ports(value: object, _caller: str, label: str) -> dict[Target, For
                 with suppress(NameRefused, ValueError):
                     check_label(peer)
                     check_name(target)
-                    if is_connectable(build_forwarded_port(host, port), "http") and what in KINDS:
+                    if is_connectable(names.build_forwarded_port(host, port), "http") and what in KINDS:
                         found[Target(peer, what, target)] = ForwardedPort(host, port)
                         continue
             case _:

@@ -14,10 +14,9 @@ from functools import partial
 from typing import Final
 
 from rossec.errors import HangUp
+from rossec.master.api import arguments, graph_calls, parameter_calls, site_calls, statement_calls
 from rossec.master.api import arguments as arg
 from rossec.master.api import statement_calls as own
-from rossec.master.api.arguments import ArgumentRefused
-from rossec.master.api.graph_calls import WATCH, GraphCalls
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
@@ -38,9 +37,6 @@ from rossec.master.api.methods import (
     Work,
     advance,
 )
-from rossec.master.api.parameter_calls import ParameterCalls
-from rossec.master.api.site_calls import FOLLOW, SiteCalls
-from rossec.master.api.statement_calls import PROOF_LIMIT, StatementCalls
 from rossec.master.rights.access_rules import RULES, AccessControl, Scope
 from rossec.master.rights.caller import AddressTaken, Caller, CertifiedPeer, Refused
 from rossec.master.rights.statements import TrustState
@@ -70,12 +66,12 @@ class MasterApi:
         self._access_control = AccessControl(
             tables.graph, tables.name, tables.forwarded_ports.is_forwarded_port
         )
-        self.graph = GraphCalls(tables, self._access_control, instance)
-        self.parameters = ParameterCalls(tables)
-        self.sites = SiteCalls(tables, instance, uri)
-        self.methods = self._methods(StatementCalls(tables, started, connected), uri, pid)
+        self.graph = graph_calls.GraphCalls(tables, self._access_control, instance)
+        self.parameters = parameter_calls.ParameterCalls(tables)
+        self.sites = site_calls.SiteCalls(tables, instance, uri)
+        self.methods = self._methods(statement_calls.StatementCalls(tables, started, connected), uri, pid)
 
-    def _methods(self, statements: StatementCalls, uri: str, pid: int) -> Methods:
+    def _methods(self, statements: statement_calls.StatementCalls, uri: str, pid: int) -> Methods:
         # By name: the checks of its arguments after the caller_id, what it answers when it is refused, and
         # who answers it. Which right it needs is in `access_rules.RULES`, which has the same names.
         graph, parameters, sites = self.graph, self.parameters, self.sites
@@ -99,7 +95,7 @@ class MasterApi:
             arg.binaries("grants", own.PRESENT_LIMIT),
             arg.binaries("grants", own.RENEW_LIMIT),
         )
-        entries = arg.binaries("entries", PROOF_LIMIT)
+        entries = arg.binaries("entries", statement_calls.PROOF_LIMIT)
         deposited, asked = arg.binaries("grants", own.DEPOSIT_LIMIT), arg.binaries("grants", own.STATES_LIMIT)
         tree = arg.binary("tree"), arg.binary("entries")
 
@@ -133,8 +129,8 @@ class MasterApi:
             "subscribeParam": Method((api, key), 0, parameters.subscribe),
             "unsubscribeParam": Method((api, key), 0, parameters.unsubscribe),
             # 3. Watchers, other masters, relays.
-            WATCH: Method(seen, {}, graph.watch),
-            FOLLOW: Method((*seen, arg.patterns("wanted", MAX_WANTED)), {}, sites.follow),
+            graph_calls.WATCH: Method(seen, {}, graph.watch),
+            site_calls.FOLLOW: Method((*seen, arg.patterns("wanted", MAX_WANTED)), {}, sites.follow),
             names.RELAY_FORWARDED_PORTS: Method(relay, {}, sites.poll),
             names.RELAY_TARGET: Method(target, [], sites.target),
             # 4. Grants and revocations of the own domain.
@@ -176,12 +172,12 @@ class MasterApi:
         try:
             # 1. Arity and caller_id.
             if not params:
-                raise ArgumentRefused("missing required caller_id parameter")
+                raise arguments.ArgumentRefused("missing required caller_id parameter")
             if len(params) != 1 + len(entry.checks):
-                raise ArgumentRefused("Error: bad call arity")
+                raise arguments.ArgumentRefused("Error: bad call arity")
             caller_id = params[0]
             if not isinstance(caller_id, str):
-                raise ArgumentRefused("caller_id must be a string")
+                raise arguments.ArgumentRefused("caller_id must be a string")
             # 2. The node that the identity acts as.
             acting_caller = self._access_control.acting_caller(method, caller, caller_id)
             # 3. The other arguments; names are resolved.
@@ -190,7 +186,7 @@ class MasterApi:
             # 4. The right, which depends on them.
             self._access_control.check(method, acting_caller, request.arguments, is_local=is_local)
             reply = entry.handler(request)
-        except ArgumentRefused as refused:
+        except arguments.ArgumentRefused as refused:
             return CallOutcome([-1, str(refused), entry.default])
         except Refused as refused:
             return _refused(refused, method, entry, caller)
@@ -359,7 +355,9 @@ class RevokedCalls:
                 # Always whole: an empty list would mean that there is none.
                 return [1, "revocations", [self._statements.current(self._now())[0], _UNCONFIRMED]]
             case (str(), list() as entries) if method == "rossec.revocationProofs":
-                known = [entry for entry in entries[:PROOF_LIMIT] if isinstance(entry, bytes)]
+                known = [
+                    entry for entry in entries[: statement_calls.PROOF_LIMIT] if isinstance(entry, bytes)
+                ]
                 return [1, "proofs", self._statements.proofs(known)]
             case _:
                 raise HangUp("the identity is revoked")

@@ -15,11 +15,9 @@ from rossec.master.rights.caller import Caller, RecentDenials
 from rossec.master.rights.held_grants import Deposits
 from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.rights.statements import TrustState
+from rossec.master.state import graph, imported_facts, journals
 from rossec.master.state.forwarded_ports import ForwardedPorts
-from rossec.master.state.graph import Graph
-from rossec.master.state.imported_facts import TypeContradicted
 from rossec.master.state.imports import Imports
-from rossec.master.state.journals import ParameterChange
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Event, NodeRef
 
@@ -39,7 +37,7 @@ class MasterTables:
 
     def __post_init__(self) -> None:
         self.registry = self.imports.registry
-        self.graph = Graph(self.registry, self.imports)
+        self.graph = graph.Graph(self.registry, self.imports)
         self.aliases = AliasPublishers(self.graph, self.trust.caller_of)
 
 
@@ -123,7 +121,7 @@ class CallDenied:
 class PersistParameter:
     """Write this change to the journal, so that it survives a restart."""
 
-    change: ParameterChange
+    change: journals.ParameterChange
 
 
 MasterEvent = (
@@ -138,7 +136,7 @@ MasterEvent = (
     | Denied
     | CallDenied
     | Administered
-    | TypeContradicted
+    | imported_facts.TypeContradicted
 )
 
 

@@ -16,30 +16,10 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from ca.names import is_alias, shown
 from grants.model import Right
-from rossec.master.api.methods import (
-    CallRequest,
-    MasterTables,
-    ParameterChanged,
-    PersistParameter,
-    Reply,
-    Steps,
-)
+from rossec.master.api import methods
 from rossec.master.rights.access_rules import require_address, require_capacity
 from rossec.master.rights.caller import Caller, Refused, refusals_answered
-from rossec.master.state.journals import ParameterChange
-from rossec.master.state.parameters import (
-    MirrorChange,
-    ParameterMissing,
-    ParameterUpdate,
-    TooLarge,
-    check_names,
-    encoded_size,
-    exceeds,
-    refuse_mirror,
-    search_candidates,
-    subscription_key,
-    updates,
-)
+from rossec.master.state import journals, parameters
 from rossec.master.state.registry import Kind, NodeRef
 from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
@@ -116,7 +96,7 @@ Fault = xmlrpc.client.Fault
 class ParameterCalls:
     """Handlers over the parameter tree and what is mirrored."""
 
-    def __init__(self, tables: MasterTables) -> None:
+    def __init__(self, tables: methods.MasterTables) -> None:
         self._parameters = tables.parameters
         self._mirrors = tables.imports.mirrors
         self._limit = tables.parameter_bytes
@@ -125,36 +105,38 @@ class ParameterCalls:
         self._caller_of = tables.trust.caller_of
         self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
 
-    def mirror(self, changes: Iterable[MirrorChange], now: int) -> tuple[ParameterChanged, ...]:
+    def mirror(
+        self, changes: Iterable[parameters.MirrorChange], now: int
+    ) -> tuple[methods.ParameterChanged, ...]:
         """The updates for subscribers of mirrored parameters that have changed."""
         return tuple(
             event for change in changes for event in self._updates(change.key, change.value, now, setter=None)
         )
 
-    def get(self, request: CallRequest) -> Reply:
+    def get(self, request: methods.CallRequest) -> methods.Reply:
         key = request.text(1)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
         if item[1] is None:  # no parameter has this value
-            return Reply(0, f"Parameter [{key}] is not set", -1)
-        return Reply(_sendable(item[1]), f"Parameter [{key}]")
+            return methods.Reply(0, f"Parameter [{key}] is not set", -1)
+        return methods.Reply(_sendable(item[1]), f"Parameter [{key}]")
 
-    def has(self, request: CallRequest) -> Reply:
+    def has(self, request: methods.CallRequest) -> methods.Reply:
         key = request.text(1)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
-        return Reply(item[1] is not None, key)
+        return methods.Reply(item[1] is not None, key)
 
     def _item(self, key: str) -> ParameterItem:
         return self._mirrors.item(key) if is_alias(key) else self._parameters.item(key)
 
-    def set(self, request: CallRequest) -> Reply:
+    def set(self, request: methods.CallRequest) -> methods.Reply:
         key, value, caller = request.text(1), request.arguments[2], request.caller
         with refusals_answered():
-            refuse_mirror(key, value)
+            parameters.refuse_mirror(key, value)
         try:
             # 1. The right on all that is there before and after: a tree that is replaced is deleted too.
-            check_names(key, value)
+            parameters.check_names(key, value)
             before = self._parameters.items_affected(key)  # the last of them is `key` itself
             has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
             affected = [*before, (key, value)] if has_tree else before
@@ -165,17 +147,17 @@ class ParameterCalls:
             own = min(self._bytes_added[caller.thumbprint], size)  # others may have deleted it
             try:
                 self._parameters.set(key, value, min(self._limit, size + max(0, quota - own)))
-            except TooLarge as error:
+            except parameters.TooLarge as error:
                 if error.size > self._limit:
-                    raise TooLarge(error.size, self._limit) from error
+                    raise parameters.TooLarge(error.size, self._limit) from error
                 text = f"the parameters that {caller.identity} has set would take more than {quota} bytes"
                 raise ValueError(text) from error
             self._account(caller, size)
         except (TypeError, ValueError) as error:
-            return Reply(0, f"Error: invalid arguments: {error}", -1)
-        persist = PersistParameter(ParameterChange(key, value))
+            return methods.Reply(0, f"Error: invalid arguments: {error}", -1)
+        persist = methods.PersistParameter(journals.ParameterChange(key, value))
         events = self._updates(key, value, request.now, setter=caller.name)
-        return Reply(0, f"parameter {key} set", events=(persist, *events))
+        return methods.Reply(0, f"parameter {key} set", events=(persist, *events))
 
     def _account(self, caller: Caller, before: int) -> None:
         # Count what a caller added since the size was `before`, at least 0 in total.
@@ -184,39 +166,39 @@ class ParameterCalls:
         if self._bytes_added[key] <= 0:
             del self._bytes_added[key]
 
-    def delete(self, request: CallRequest) -> Reply:
+    def delete(self, request: methods.CallRequest) -> methods.Reply:
         key = request.text(1)
         with refusals_answered():
-            refuse_mirror(key)
+            parameters.refuse_mirror(key)
         require_tree(request.caller, Right.PARAM_SET, key, self._parameters.item(key))
         before = self._parameters.size
         try:
             self._parameters.delete(key)
-        except ParameterMissing:
-            return Reply(0, f"parameter [{key}] is not set", -1)
+        except parameters.ParameterMissing:
+            return methods.Reply(0, f"parameter [{key}] is not set", -1)
         self._account(request.caller, before)
-        persist = PersistParameter(ParameterChange(key, deleted=True))
+        persist = methods.PersistParameter(journals.ParameterChange(key, deleted=True))
         events = self._updates(key, {}, request.now, setter=None)
-        return Reply(0, f"parameter {key} deleted", events=(persist, *events))
+        return methods.Reply(0, f"parameter {key} deleted", events=(persist, *events))
 
-    def search(self, request: CallRequest) -> Steps:
+    def search(self, request: methods.CallRequest) -> methods.Steps:
         key, caller = request.text(1), request.caller
         try:
-            candidates = search_candidates(caller.name, key)
+            candidates = parameters.search_candidates(caller.name, key)
         except ValueError as error:
-            return Reply(0, f"Internal failure: {error}", 0)
+            return methods.Reply(0, f"Internal failure: {error}", 0)
         for candidate, found in candidates:
             if self._item(candidate)[1] is None:
                 continue
             results = decisions_across_turns(caller, Right.PARAM_GET, self._item(candidate))
             for count, decision in enumerate(results, 1):
                 if decision.covered:
-                    return Reply(found, f"Found [{found}]")
+                    return methods.Reply(found, f"Found [{found}]")
                 if not count % caller.names_per_yield:
                     yield
-        return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
+        return methods.Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
 
-    def parameter_names(self, request: CallRequest) -> Steps:
+    def parameter_names(self, request: methods.CallRequest) -> methods.Steps:
         caller, shown, bytes_left, count = request.caller, list[str](), MAX_ENCODED, 0
         for item in (self._parameters.item("/"), *self._mirrors.items()):
             for decision in decisions_across_turns(caller, Right.PARAM_GET, item):
@@ -224,35 +206,37 @@ class ParameterCalls:
                 for name in parameter_names(decision.item) if decision.covered else (None,):
                     if name is not None:
                         shown.append(name)
-                        bytes_left -= encoded_size(name)
+                        bytes_left -= parameters.encoded_size(name)
                     if bytes_left < 0:
                         raise Fault(1, _TOO_LONG)
                     count += 1
                     if not count % caller.names_per_yield:
                         yield
-        return Reply(shown, "Parameter names")
+        return methods.Reply(shown, "Parameter names")
 
-    def subscribe(self, request: CallRequest) -> Reply:
+    def subscribe(self, request: methods.CallRequest) -> methods.Reply:
         node, key = request.node(1), request.text(2)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
         require_address(self._registry, request.caller, node.uri, is_local=request.is_local)
-        subscription = subscription_key(key)
+        subscription = parameters.subscription_key(key)
         require_capacity(self._registry, Kind.PARAMETER, subscription, node)
         value = {} if item[1] is None else _sendable(item[1])
         events = self._registry.register_parameter(subscription, node)
-        return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
+        return methods.Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
-    def unsubscribe(self, request: CallRequest) -> Reply:
+    def unsubscribe(self, request: methods.CallRequest) -> methods.Reply:
         node, key = request.node(1), request.text(2)
-        self._registry.unregister(Kind.PARAMETER, subscription_key(key), node)
-        return Reply(1, f"Unsubscribe to parameter [{key}]")
+        self._registry.unregister(Kind.PARAMETER, parameters.subscription_key(key), node)
+        return methods.Reply(1, f"Unsubscribe to parameter [{key}]")
 
-    def _updates(self, key: str, value: object, now: int, setter: str | None) -> tuple[ParameterChanged, ...]:
+    def _updates(
+        self, key: str, value: object, now: int, setter: str | None
+    ) -> tuple[methods.ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
         allowed: dict[tuple[bytes, str], bool] = {}  # by key: it may have many nodes
 
-        def may_receive(node: NodeRef, update: ParameterUpdate) -> bool:
+        def may_receive(node: NodeRef, update: parameters.ParameterUpdate) -> bool:
             about = node.thumbprint, update.key
             if about not in allowed:
                 caller = self._caller_of(node, now)
@@ -261,8 +245,8 @@ class ParameterCalls:
             return allowed[about]
 
         return tuple(
-            ParameterChanged(node, update.key, update.value)
-            for update in updates(subscriptions, key, value)
+            methods.ParameterChanged(node, update.key, update.value)
+            for update in parameters.updates(subscriptions, key, value)
             for node in self._registry.registered_nodes(Kind.PARAMETER, update.subscription)
             if (update.to_setter or node.name != setter) and may_receive(node, update)
         )
@@ -270,6 +254,6 @@ class ParameterCalls:
 
 def _sendable(value: object) -> object:
     # The value, unless it is far too long: encoding it would already take long.
-    if isinstance(value, dict) and exceeds(value, MAX_ENCODED):
+    if isinstance(value, dict) and parameters.exceeds(value, MAX_ENCODED):
         raise Fault(1, _TOO_LONG)
     return value

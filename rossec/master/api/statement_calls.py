@@ -11,22 +11,10 @@ from typing import Final
 from ca.errors import HintedError
 from ca.names import is_alias
 from grants.model import Grant, Right
-from rossec.master.api.methods import (
-    Administered,
-    CallerPresentedGrants,
-    CallRequest,
-    DomainsChanged,
-    GrantsDeposited,
-    MasterTables,
-    Reply,
-    RevocationsChanged,
-    Steps,
-)
+from rossec.master.api import methods
+from rossec.master.rights import held_grants, revocation_lists
 from rossec.master.rights.caller import CertifiedPeer, Refused, refusals_answered
-from rossec.master.rights.held_grants import DeliveryState
-from rossec.master.rights.revocation_lists import RevocationQueries
-from rossec.master.state.journals import ID_SIZE
-from rossec.master.state.registry import Kind
+from rossec.master.state import journals, registry
 
 PRESENT_LIMIT: Final = 64
 RENEW_LIMIT: Final = 16
@@ -51,15 +39,15 @@ class StatementCalls:
     # soon. Times are given as seconds ago: the clocks of two hosts may differ, and XML-RPC's integers end in
     # 2038.
     def __init__(
-        self, tables: MasterTables, started: int, connected: Callable[[], Iterable[CertifiedPeer]]
+        self, tables: methods.MasterTables, started: int, connected: Callable[[], Iterable[CertifiedPeer]]
     ) -> None:
         self._tables = tables
         self._trust = tables.trust
         self._deposits = tables.deposits
-        self._queries = RevocationQueries(started)
+        self._queries = revocation_lists.RevocationQueries(started)
         self._connected = connected
 
-    def present(self, request: CallRequest) -> Steps:
+    def present(self, request: methods.CallRequest) -> methods.Steps:
         tokens, reasons = request.binaries(1), list[str]()
         for token in tokens:
             reasons += self._trust.present(request.caller, [token], request.now).refused
@@ -70,95 +58,95 @@ class StatementCalls:
         # No error even if all are refused: a node whose grants have expired keeps its session and
         # presents new ones in it.
         status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
-        event = CallerPresentedGrants(request.caller.identity, tuple(reasons))
-        return Reply(presented.held, status, events=(event,))
+        event = methods.CallerPresentedGrants(request.caller.identity, tuple(reasons))
+        return methods.Reply(presented.held, status, events=(event,))
 
-    def renew_grants(self, request: CallRequest) -> Reply:
+    def renew_grants(self, request: methods.CallRequest) -> methods.Reply:
         renewed = self._trust.renew(request.caller, request.binaries(1), request.now)
         refused = "; ".join(renewed.refused)
         status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
-        event = CallerPresentedGrants(request.caller.identity, renewed.refused)
-        return Reply(list(renewed.tokens), status, events=(event,))
+        event = methods.CallerPresentedGrants(request.caller.identity, renewed.refused)
+        return methods.Reply(list(renewed.tokens), status, events=(event,))
 
-    def update_delegation(self, request: CallRequest) -> Reply:
+    def update_delegation(self, request: methods.CallRequest) -> methods.Reply:
         with refusals_answered():
             newer = self._trust.update_delegation(request.binary(1))
         if not newer:
-            return Reply(0, "not newer than the delegation held")
-        delivered = Administered(request.caller.identity, "delivered a delegation to renew grants")
-        return Reply(1, "delegated", events=(delivered,))
+            return methods.Reply(0, "not newer than the delegation held")
+        delivered = methods.Administered(request.caller.identity, "delivered a delegation to renew grants")
+        return methods.Reply(1, "delegated", events=(delivered,))
 
-    def revocations(self, request: CallRequest) -> Reply:
-        return Reply(list(self._trust.current(request.now)), "revocations")
+    def revocations(self, request: methods.CallRequest) -> methods.Reply:
+        return methods.Reply(list(self._trust.current(request.now)), "revocations")
 
-    def revocations_since(self, request: CallRequest) -> Reply:
+    def revocations_since(self, request: methods.CallRequest) -> methods.Reply:
         # The list, unless the caller says that it holds the same.
         self._trust.held_lists.record(request.caller, request.binary(1), request.now)
-        return Reply(list(self._trust.revocations_for(request.caller, request.now)), "revocations")
+        return methods.Reply(list(self._trust.revocations_for(request.caller, request.now)), "revocations")
 
-    def update_revocations(self, request: CallRequest) -> Reply:
+    def update_revocations(self, request: methods.CallRequest) -> methods.Reply:
         with refusals_answered():
             newer = self._trust.update(request.binary(1), request.now)
         return _update_reply(newer, request)
 
-    def update_tree(self, request: CallRequest) -> Steps:
+    def update_tree(self, request: methods.CallRequest) -> methods.Steps:
         with refusals_answered():
             newer = yield from self._trust.take_tree(request.binary(1), request.binary(2), request.now)
         return _update_reply(newer, request)
 
-    def tree_entries(self, request: CallRequest) -> Reply:
+    def tree_entries(self, request: methods.CallRequest) -> methods.Reply:
         if not request.caller.is_own_master:
             raise Refused("only another master of this domain may call this")
-        return Reply(self._trust.tree_entries, "entries")
+        return methods.Reply(self._trust.tree_entries, "entries")
 
-    def proofs(self, request: CallRequest) -> Reply:
-        return Reply(self._trust.proofs(request.binaries(1)), "proofs")
+    def proofs(self, request: methods.CallRequest) -> methods.Reply:
+        return methods.Reply(self._trust.proofs(request.binaries(1)), "proofs")
 
-    def query(self, request: CallRequest) -> Steps:
+    def query(self, request: methods.CallRequest) -> methods.Steps:
         # RFC 9770: what pertains to the caller, and all entries for an administrator.
         caller = request.caller
         if caller.may(Right.ADMIN, self._tables.name):
             entries = self._trust.revoked()
         else:
-            keys = (key for kind in Kind for key in self._tables.registry.keys_of(caller.name, kind))
+            keys = (key for kind in registry.Kind for key in self._tables.registry.keys_of(caller.name, kind))
             names = [name for key in keys if (name := key.removesuffix("/"))]
             entries = yield from self._trust.pertaining(caller, names)
         requester = caller.thumbprint + caller.name.encode()
         with refusals_answered():
             answer = self._queries.answer(requester, entries, request.binary(1))
-        return Reply(answer, "revocations")
+        return methods.Reply(answer, "revocations")
 
-    def domains(self, request: CallRequest) -> Reply:
+    def domains(self, request: methods.CallRequest) -> methods.Reply:
         domains = self._trust.domains
         held = request.binary(1) == domains.digest()
-        return Reply(b"" if held else domains.anchors.data, "domains")
+        return methods.Reply(b"" if held else domains.anchors.data, "domains")
 
-    def update_domains(self, request: CallRequest) -> Reply:
+    def update_domains(self, request: methods.CallRequest) -> methods.Reply:
         with refusals_answered():
             newer = self._trust.update_domains(request.binary(1))
         if not newer:
-            return Reply(0, "not newer than the list in force")
-        changed = DomainsChanged(request.caller.identity)
-        return Reply(1, "domains updated", events=(changed,))
+            return methods.Reply(0, "not newer than the list in force")
+        changed = methods.DomainsChanged(request.caller.identity)
+        return methods.Reply(1, "domains updated", events=(changed,))
 
-    def foreign_revocations(self, request: CallRequest) -> Reply:
+    def foreign_revocations(self, request: methods.CallRequest) -> methods.Reply:
         word = self._trust.domains.word(self._listed(request))
         held = request.binary(2) == word.digest()
         answer = [b"" if held else word.revocations, word.timestamp, list(word.chain)]
-        return Reply(answer, "revocations")
+        return methods.Reply(answer, "revocations")
 
-    def foreign_proofs(self, request: CallRequest) -> Reply:
+    def foreign_proofs(self, request: methods.CallRequest) -> methods.Reply:
         domain = self._listed(request)
         entries = request.binaries(2)
-        return Reply(self._trust.domains.proofs(domain, entries), "proofs")
+        return methods.Reply(self._trust.domains.proofs(domain, entries), "proofs")
 
-    def _listed(self, request: CallRequest) -> str:
+    def _listed(self, request: methods.CallRequest) -> str:
         domain = request.text(1)[:MAX_DOMAIN]
         if self._trust.domains.anchors.listed_domain(domain) is None:
             raise Refused(f"domain {domain!a} is not listed here")
         return domain
 
-    def deposit(self, request: CallRequest) -> Steps:
+    def deposit(self, request: methods.CallRequest) -> methods.Steps:
         # 1. Verify in turns, as each costs a signature.
         verified: list[tuple[bytes, Grant | HintedError]] = []
         for number, data in enumerate(request.binaries(1), 1):
@@ -175,51 +163,51 @@ class StatementCalls:
         # 3. Notify the holders.
         accepted = zip(verified, reasons, strict=True)
         holders = [g.holder for (_, g), reason in accepted if isinstance(g, Grant) and not reason]
-        event = GrantsDeposited(request.caller.identity, frozenset(holders), len(holders))
+        event = methods.GrantsDeposited(request.caller.identity, frozenset(holders), len(holders))
         refused = len(reasons) - len(holders)
         status = f"{len(holders)} grants deposited" + (f", {refused} refused" if refused else "")
-        return Reply(reasons, status, events=(event,) if holders else ())
+        return methods.Reply(reasons, status, events=(event,) if holders else ())
 
-    def fetch(self, request: CallRequest) -> Reply:
-        known = frozenset(_split(request.binary(1), ID_SIZE, KNOWN_LIMIT))
+    def fetch(self, request: methods.CallRequest) -> methods.Reply:
+        known = frozenset(_split(request.binary(1), journals.ID_SIZE, KNOWN_LIMIT))
         found = self._deposits.missing(request.caller.thumbprint, known, request.now, self._trust.revoked())
-        return Reply({"grants": found.grants, "more": found.more}, "grants")
+        return methods.Reply({"grants": found.grants, "more": found.more}, "grants")
 
-    def delivery_states(self, request: CallRequest) -> Reply:
+    def delivery_states(self, request: methods.CallRequest) -> methods.Reply:
         entries = request.binaries(1)
-        if any(len(entry) != ID_SIZE + _HOLDER_SIZE for entry in entries):
+        if any(len(entry) != journals.ID_SIZE + _HOLDER_SIZE for entry in entries):
             raise Refused("a grant is named by its id and the thumbprint of its holder's key")
         self._deposits.drop_ended(request.now, self._trust.revoked())
-        return Reply([self._state(entry).value for entry in entries], "states")
+        return methods.Reply([self._state(entry).value for entry in entries], "states")
 
-    def _state(self, entry: bytes) -> DeliveryState:
-        grant_id, holder = entry[:ID_SIZE], entry[ID_SIZE:]
+    def _state(self, entry: bytes) -> held_grants.DeliveryState:
+        grant_id, holder = entry[: journals.ID_SIZE], entry[journals.ID_SIZE :]
         if self._trust.has_presented(holder, grant_id):
-            return DeliveryState.HELD
+            return held_grants.DeliveryState.HELD
         return self._deposits.state(grant_id)
 
-    def renew_identity(self, request: CallRequest) -> Reply:
+    def renew_identity(self, request: methods.CallRequest) -> methods.Reply:
         with refusals_answered():
             found = self._trust.renew_identity(request.caller, request.binary(1), request.now)
         if not found.bundle:
-            return Reply(b"", f"rossec: {found.status}", 0)
-        return Reply(found.bundle, found.status)
+            return methods.Reply(b"", f"rossec: {found.status}", 0)
+        return methods.Reply(found.bundle, found.status)
 
-    def offer_renewals(self, request: CallRequest) -> Reply:
+    def offer_renewals(self, request: methods.CallRequest) -> methods.Reply:
         renewals = self._trust.identities
         found = renewals.offer(request.now, locked=request.arguments[1] != 0)
-        return Reply({"renewals": found.requests, "waiting": found.waiting}, "renewals")
+        return methods.Reply({"renewals": found.requests, "waiting": found.waiting}, "renewals")
 
-    def settle_renewals(self, request: CallRequest) -> Steps:
+    def settle_renewals(self, request: methods.CallRequest) -> methods.Steps:
         settled = 0
         answers = request.arguments[1]
         for each in answers if isinstance(answers, list) else ():
             settled += self._trust.identities.settle([each], request.now, self._trust.check)
             yield
-        done = Administered(request.caller.identity, f"renewed or refused {settled} identities")
-        return Reply(settled, "settled", events=(done,) if settled else ())
+        done = methods.Administered(request.caller.identity, f"renewed or refused {settled} identities")
+        return methods.Reply(settled, "settled", events=(done,) if settled else ())
 
-    def trust_status(self, request: CallRequest) -> Reply:
+    def trust_status(self, request: methods.CallRequest) -> methods.Reply:
         key = request.caller.thumbprint  # the authority has signed the list and needs none
         own = (peer for peer in self._connected() if not is_alias(peer.name))
         nodes = [peer for peer in own if peer.thumbprint != key]
@@ -231,21 +219,21 @@ class StatementCalls:
             "holding": found.holding,
             "lacking": list(found.lacking[:MAX_LACKING]),
         }
-        return Reply(answer, "trust status of the revocation list")
+        return methods.Reply(answer, "trust status of the revocation list")
 
-    def recent_denials(self, request: CallRequest) -> Reply:
+    def recent_denials(self, request: methods.CallRequest) -> methods.Reply:
         answer = [
             [max(0, request.now - denial.at), denial.node, int(denial.right), denial.name]
             for denial in self._tables.recent_denials.newest_first(request.now)
         ]
-        return Reply(answer, "denials of the last day")
+        return methods.Reply(answer, "denials of the last day")
 
 
-def _update_reply(newer: bool, request: CallRequest) -> Reply:
+def _update_reply(newer: bool, request: methods.CallRequest) -> methods.Reply:
     if not newer:
-        return Reply(0, "not newer than the list in force")
-    changed = RevocationsChanged(request.caller.identity)
-    return Reply(1, "revocations updated", events=(changed,))
+        return methods.Reply(0, "not newer than the list in force")
+    changed = methods.RevocationsChanged(request.caller.identity)
+    return methods.Reply(1, "revocations updated", events=(changed,))
 
 
 def _split(value: bytes, size: int, most: int) -> list[bytes]:

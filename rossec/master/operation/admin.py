@@ -78,6 +78,7 @@ class DenialRateLimit(logging.Filter):
 
 @contextmanager
 def denials_limited() -> Iterator[None]:
+    """Meanwhile one caller cannot fill the log with its denials."""
     limit, log = DenialRateLimit(), logging.getLogger(DENIALS)
     log.addFilter(limit)
     try:

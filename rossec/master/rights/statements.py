@@ -17,31 +17,17 @@ from ca.domains import Anchors
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signing import Signer
 from ca.names import MASTER, REMOTE, is_alias, shown
-from ca.revocation.lists import digest
-from ca.revocation.trust_status import Revocations, TrustStatus
+from ca.revocation import lists, trust_status
 from grants.errors import GrantError
 from grants.model import Grant, Right
 from grants.token import Verifier, peek
-from rossec.master.rights.access_rules import is_authority, may_subscribe
+from rossec.master.rights import access_rules, domain_trust, held_grants, revocation_lists
 from rossec.master.rights.caller import Caller, CertifiedPeer
-from rossec.master.rights.domain_trust import DomainTrust
-from rossec.master.rights.held_grants import (
-    FAILURE_WINDOW,
-    MAX_HELD,
-    NOT_EVALUATED,
-    EvaluationContext,
-    Judge,
-    PresentedGrants,
-    Renewed,
-    VerifiedGrants,
-    check_holder,
-)
 from rossec.master.rights.renewals import IdentityRenewals, RenewalAnswer, Renewer, TicketSigner
-from rossec.master.rights.revocation_lists import ListInForce, entries_of, pertaining
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 
-class TrustState(ListInForce):
+class TrustState(revocation_lists.ListInForce):
     """Revocations and presented grants: who is still trusted, and for what."""
 
     # `renewer` renews identities at once; None: the authority's service does.
@@ -49,24 +35,26 @@ class TrustState(ListInForce):
         self,
         anchor: TrustAnchor,
         signer: Signer,
-        revocations: Revocations,
+        revocations: trust_status.Revocations,
         persist: Callable[[bytes], None],
         delegate: TicketSigner | None = None,
         persist_entries: Callable[[bytes], object] = lambda _data: None,
         renewer: Renewer | None = None,
-        domains: DomainTrust | None = None,
+        domains: domain_trust.DomainTrust | None = None,
     ) -> None:
         super().__init__(anchor, signer, revocations, persist, persist_entries)
         self.identities: Final = IdentityRenewals(anchor, renewer)
         self._delegate = TicketSigner(anchor, signer) if delegate is None else delegate
-        self.domains: Final = domains or DomainTrust(TrustStatus(Anchors(anchor), revocations))
-        self._judge = Judge(anchor.domain, self._check_grant, self.domains.domain_of)
-        self._held: dict[bytes, PresentedGrants] = {}
-        self._held_by_foreigners: dict[tuple[str, bytes], PresentedGrants] = {}
+        self.domains: Final = domains or domain_trust.DomainTrust(
+            trust_status.TrustStatus(Anchors(anchor), revocations)
+        )
+        self._judge = held_grants.Judge(anchor.domain, self._check_grant, self.domains.domain_of)
+        self._held: dict[bytes, held_grants.PresentedGrants] = {}
+        self._held_by_foreigners: dict[tuple[str, bytes], held_grants.PresentedGrants] = {}
         self._foreigners: dict[tuple[str, bytes], Identity] = {}  # by alias and key
         self._revoked_grants: dict[bytes, Grant] = {}
         self._identity_keys: dict[bytes, tuple[bytes, ...]] = {}  # by the identity's own key
-        self._context = NOT_EVALUATED
+        self._context = held_grants.NOT_EVALUATED
 
     def caller(self, peer: Identity, now: int) -> Caller:
         if not peer.certified:  # else a twin with the same key would take the place of an own node
@@ -90,7 +78,7 @@ class TrustState(ListInForce):
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
         if peer.name.startswith(MASTER) and self.domains.is_own_master(peer):
             return replace(caller, is_own_master=True)
-        return replace(caller, is_authority=True) if is_authority(peer) else caller
+        return replace(caller, is_authority=True) if access_rules.is_authority(peer) else caller
 
     def admit(self, peer: Identity, now: int) -> None:
         """Return if `peer` may connect; raises as `caller`, or `DomainTrust.admit`."""
@@ -121,7 +109,7 @@ class TrustState(ListInForce):
             held.drop(lambda grant: grant.domain in (ended or ()))
         return ended is not None
 
-    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> VerifiedGrants:
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> held_grants.VerifiedGrants:
         # A refused grant does not affect the others; one bound to another key is refused.
         self._confirm(now)
         held, domains = self._held_by(caller), self.domains
@@ -134,7 +122,7 @@ class TrustState(ListInForce):
                 # 1. What costs nothing first: a verification costs the loop a signature.
                 self._check_failures(held, now)
                 if held.is_full_for(len(token)):
-                    raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
+                    raise GrantError(f"the master holds at most {held_grants.MAX_HELD} grants of one node")
                 # 2. With the key of the domain the token says it is of; a foreigner has only own grants.
                 domain = peek(token).domain if domains.anchors.all_listed and not caller.is_foreign else ""
                 if domain and domains.anchors.listed_domain(domain) is not None:
@@ -145,12 +133,12 @@ class TrustState(ListInForce):
                     verifier = Verifier(own.public_key, own.domain, delegates, self.number, check)
                 grant = verifier.open(token, now)
                 # 3. It is the caller's own.
-                check_holder(caller, grant, domains.label_of(grant.domain))
+                held_grants.check_holder(caller, grant, domains.label_of(grant.domain))
                 held.put(token, grant)
             except HintedError as error:
                 held.count_failure(now)
                 refused.append(str(error))
-        return VerifiedGrants(len(held.grants), tuple(refused))
+        return held_grants.VerifiedGrants(len(held.grants), tuple(refused))
 
     def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
         held = self._held.get(holder)
@@ -158,9 +146,9 @@ class TrustState(ListInForce):
 
     def pertaining(self, caller: Caller, names: Iterable[str]) -> Generator[None, None, frozenset[bytes]]:
         own = caller.thumbprint, self._delegate.id
-        return pertaining(self._revocations.entries, self._known_grants(), own, names)
+        return revocation_lists.pertaining(self._revocations.entries, self._known_grants(), own, names)
 
-    def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
+    def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> held_grants.Renewed:
         # In the same order, empty where one is refused.
         self._confirm(now)
         held = self._held_by(caller)
@@ -174,7 +162,7 @@ class TrustState(ListInForce):
                 held.count_failure(now)
                 refused.append(str(error))
                 renewed.append(b"")
-        return Renewed(tuple(renewed), tuple(refused))
+        return held_grants.Renewed(tuple(renewed), tuple(refused))
 
     def renew_identity(self, caller: Caller, request: bytes, now: int) -> RenewalAnswer:
         self._confirm(now)
@@ -197,16 +185,16 @@ class TrustState(ListInForce):
 
     def list_digests(self) -> tuple[bytes, bytes]:
         held = self._revocations
-        own = b"" if held.current is None else digest(held.data)
+        own = b"" if held.current is None else lists.digest(held.data)
         return own, self.domains.digest()
 
     def _list_replaced(self, before: bytes) -> bool:
         self._revoked_grants = {
             grant.id: grant
             for grant in self._known_grants()
-            if not self._revocations.entries.isdisjoint(entries_of(grant))
+            if not self._revocations.entries.isdisjoint(revocation_lists.entries_of(grant))
         }
-        self._context = NOT_EVALUATED
+        self._context = held_grants.NOT_EVALUATED
         return super()._list_replaced(before)
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
@@ -224,19 +212,21 @@ class TrustState(ListInForce):
     def _is_revoked(self, keys: tuple[bytes, ...]) -> bool:
         return not self._revocations.entries.isdisjoint(keys)
 
-    def _caller(self, peer: CertifiedPeer, now: int, judge: Judge, *, wildcard: bool = False) -> Caller:
+    def _caller(
+        self, peer: CertifiedPeer, now: int, judge: held_grants.Judge, *, wildcard: bool = False
+    ) -> Caller:
         self._confirm(now)
         return self._held_by(peer).caller(peer, self._context, judge, wildcard=wildcard)
 
-    def _held_by(self, peer: CertifiedPeer) -> PresentedGrants:
+    def _held_by(self, peer: CertifiedPeer) -> held_grants.PresentedGrants:
         # The grants of a key, until `keep_only` discards them.
         # One key may be certified in several domains, where it is another peer.
         if peer.name.startswith(REMOTE) and is_alias(peer.name):
             place = peer.name.split("/")[2], peer.thumbprint
-            return self._held_by_foreigners.setdefault(place, PresentedGrants())
+            return self._held_by_foreigners.setdefault(place, held_grants.PresentedGrants())
         held = self._held.get(peer.thumbprint)
         if held is None:
-            held = self._held[peer.thumbprint] = PresentedGrants()
+            held = self._held[peer.thumbprint] = held_grants.PresentedGrants()
         return held
 
     def _known_grants(self) -> Iterator[Grant]:
@@ -244,27 +234,31 @@ class TrustState(ListInForce):
         for held in (*self._held.values(), *self._held_by_foreigners.values()):
             yield from held.grants.values()
 
-    def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
+    def _renew(self, held: held_grants.PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
         self._check_failures(held, now)
         _refuse_foreigner(caller)
         check = self._revocations.check
         grant, renewed = self._delegate.renew(token, caller.thumbprint, now, seq=self.number, check=check)
-        check_holder(caller, grant, "")
+        held_grants.check_holder(caller, grant, "")
         if not held.is_full_for(len(renewed)):  # else the node presents it later
             held.put(renewed, grant)
         return renewed
 
     @staticmethod
-    def _check_failures(held: PresentedGrants, now: int) -> None:
+    def _check_failures(held: held_grants.PresentedGrants, now: int) -> None:
         if held.has_failed_too_often(now):
-            raise GrantError("too many grants of this node were refused", f"wait {FAILURE_WINDOW} s")
+            raise GrantError(
+                "too many grants of this node were refused", f"wait {held_grants.FAILURE_WINDOW} s"
+            )
 
     def _confirm(self, now: int) -> None:
         held, revocations, elsewhere = self._context, self._revocations, self.domains.generation
         if held.now != now or held.revocations is not revocations.data or held.elsewhere != elsewhere:
             if revocations.current is not None:
                 revocations.confirm(self._timestamp(now), now)
-            self._context = EvaluationContext(now, revocations.data, revocations.fresh_until, elsewhere)
+            self._context = held_grants.EvaluationContext(
+                now, revocations.data, revocations.fresh_until, elsewhere
+            )
 
 
 def _refuse_foreigner(caller: Caller) -> None:
@@ -306,7 +300,7 @@ def enforce(registry: Registry, trust: TrustState, step: EnforcementStep, now: i
         case Kind.PARAMETER:  # something at or below its key; each update is authorized again anyway
             allowed = [caller.may_some_below(Right.PARAM_GET, k.removesuffix("/") or "/") for k in step.keys]
         case Kind.SUBSCRIBER:
-            allowed = [may_subscribe(caller, key) for key in step.keys]
+            allowed = [access_rules.may_subscribe(caller, key) for key in step.keys]
         case kind:
             allowed = [caller.may(_REQUIRED_RIGHTS[kind], key) for key in step.keys]
     uncovered = [key for key, is_allowed in zip(step.keys, allowed, strict=True) if not is_allowed]

@@ -12,18 +12,16 @@ from typing import Final, NamedTuple, cast
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec.master.api import graph_calls, statement_calls
 from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
-from rossec.master.api.graph_calls import WATCH, is_unchanged
 from rossec.master.api.methods import CallDenied, CallOutcome, TurnClock, TurnExpired, Work, advance
 from rossec.master.api.site_calls import FOLLOW, UNCHANGED, is_idle
-from rossec.master.api.statement_calls import WATCH_GRANTS
 from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream
 from rossec.net.rpc import Dispatch, of_loop, source_of
-from rossec.ros.names import PRESENT_GRANTS, RELAY_FORWARDED_PORTS, WATCH_RENEWALS
-from rossec.ros.xmlrpc import Fault
+from rossec.ros import names, xmlrpc
 
 
 class Admission:
@@ -71,7 +69,7 @@ class Admission:
         peer: Identity,
     ) -> object:
         value = dispatch(method, params, peer)
-        if method != PRESENT_GRANTS:
+        if method != names.PRESENT_GRANTS:
             return value
 
         async def presented() -> object:
@@ -107,9 +105,9 @@ class CallAnswers:
         self._turns = turns
         self._loop_turns = of_loop()
         self._polls = {
-            WATCH_GRANTS: self._watch_grants,
-            WATCH_RENEWALS: self._watch_renewals,
-            RELAY_FORWARDED_PORTS: self._relay_forwarded_ports,
+            statement_calls.WATCH_GRANTS: self._watch_grants,
+            names.WATCH_RENEWALS: self._watch_renewals,
+            names.RELAY_FORWARDED_PORTS: self._relay_forwarded_ports,
         }
 
     def dispatch(self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity) -> object:
@@ -155,7 +153,7 @@ class CallAnswers:
         return await self._watch(call, self._expect_change(call)) if _is_unchanged(call, answer) else answer
 
     def _expect_change(self, call: PendingCall) -> asyncio.Event:
-        if call.method == WATCH:
+        if call.method == graph_calls.WATCH:
             return self._state.graph_changes.expect()
         return self._state.site_polls.expect(call.peer.thumbprint)
 
@@ -249,8 +247,8 @@ class CallAnswers:
         try:
             return self._state.trust.caller(peer, now), now
         except HintedError as error:  # just revoked: the connection is being closed
-            raise Fault(1, f"rossec: {error}") from error
+            raise xmlrpc.Fault(1, f"rossec: {error}") from error
 
 
 def _is_unchanged(call: PendingCall, answer: object) -> bool:
-    return call.method in (WATCH, FOLLOW) and is_unchanged(answer, call.params[2])
+    return call.method in (graph_calls.WATCH, FOLLOW) and graph_calls.is_unchanged(answer, call.params[2])

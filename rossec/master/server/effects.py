@@ -25,24 +25,9 @@ from grants.model import Right
 from grants.request import is_dispensable, needed_rule, own_form, rule_form
 from rossec import files
 from rossec.clock import time as host_time
-from rossec.master.api.methods import (
-    Administered,
-    CallDenied,
-    CallerPresentedGrants,
-    CallOutcome,
-    Denied,
-    DomainsChanged,
-    GrantsDeposited,
-    MasterEvent,
-    MasterTables,
-    ParameterChanged,
-    PersistParameter,
-    RevocationsChanged,
-    StopMaster,
-)
+from rossec.master.api import methods
 from rossec.master.operation import DENIALS, MasterLimits
-from rossec.master.rights.caller import CertifiedPeer
-from rossec.master.rights.statements import enforce, enforcement_steps
+from rossec.master.rights import caller, statements
 from rossec.master.server.saved_state import DepositFile, ParameterFile
 from rossec.master.server.updates import MAX_CLOSING, LongPolls, SlaveDialer, Updates
 from rossec.master.state.imported_facts import TypeContradicted
@@ -58,7 +43,8 @@ MAX_LINES: Final = 10_000  # of all nodes beyond their quotas
 OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
 
 
-def ignore_denial(now: int, node: str, right: Right, name: str) -> None: ...
+def ignore_denial(now: int, node: str, right: Right, name: str) -> None:
+    """In the place of a `DenialLog`: keeps none."""
 
 
 class DenialLog:
@@ -116,7 +102,7 @@ class DenialCauses:
     def __init__(self) -> None:
         self._logged: Newest[_Cause, _Logged] = Newest(MAX_CAUSES)
 
-    def text(self, now: int, denied: CallDenied) -> str | None:
+    def text(self, now: int, denied: methods.CallDenied) -> str | None:
         # Of what every program works without it begins with `BASICS`: it is no warning.
         if denied.missing is None:
             return f"{denied.method}: {denied.status}"
@@ -153,7 +139,7 @@ MAX_WAITING: Final = 64  # calls of one key that wait for grants: the nodes of a
 
 
 @dataclass(kw_only=True)
-class MasterState(MasterTables):
+class MasterState(methods.MasterTables):
     """The state of one master, used in its event loop only."""
 
     clock: Callable[[], float] = host_time
@@ -214,14 +200,14 @@ class Effects:
         self.on_new_lists: Final[list[Callable[[], None]]] = []  # one is in force, whoever delivered it
         self.calls = self.denials = 0
 
-    def apply(self, outcome: CallOutcome) -> object:
+    def apply(self, outcome: methods.CallOutcome) -> object:
         self.calls += 1
         for event in outcome.events:
             self.deliver(event)
         self._state.notify()
         return outcome.answer
 
-    def evict(self, node: NodeRef, found: CertifiedPeer) -> None:
+    def evict(self, node: NodeRef, found: caller.CertifiedPeer) -> None:
         # Remove a node that registered the address of another node, `found`. Otherwise a node could keep
         # another out by registering its address first.
         self.updates.drop(node)
@@ -232,7 +218,7 @@ class Effects:
                 self.deliver(event)
             self._state.notify()
 
-    def deliver(self, event: MasterEvent) -> None:  # noqa: C901, PLR0912 - one case for each event
+    def deliver(self, event: methods.MasterEvent) -> None:  # noqa: C901, PLR0912 - one case for each event
         state, now = self._state, self._state.now
         match event:
             # 1. Updates to nodes.
@@ -240,16 +226,16 @@ class Effects:
                 if is_in_gateway(event.topic):
                     self.on_served(event.topic)
                 self.send_publishers(state.aliases.updates(event, now()))
-            case ParameterChanged(node, key, value):
+            case methods.ParameterChanged(node, key, value):
                 self._notify(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
                 self._notify(node, "shutdown", f"[{node.name}] Reason: {reason}")
             # 2. What the authority has signed.
-            case RevocationsChanged(by):
+            case methods.RevocationsChanged(by):
                 _audit.info("%s delivered revocation list %d", by, state.trust.number)
                 self._enforce_list()
                 self._tell_new_list()
-            case DomainsChanged(by):
+            case methods.DomainsChanged(by):
                 _audit.info("%s delivered list of domains %d", by, state.trust.domains.number)
                 self._enforce_list()
                 for changed in state.imports.taken_anew():
@@ -258,32 +244,32 @@ class Effects:
                 for node in self._own_nodes(now()):
                     self.updates.post(node, (DOMAINS_UPDATE, ""), state.name, data)
                 self._tell_new_list()
-            case GrantsDeposited(by, holders, count):
+            case methods.GrantsDeposited(by, holders, count):
                 _audit.info("%s deposited %d grants for %d keys", by, count, len(holders))
                 state.grant_changes.wake(holders)
-            case CallerPresentedGrants(name, refused):
+            case methods.CallerPresentedGrants(name, refused):
                 state.notify_all()  # it may see more or less now
                 self.send_publishers(state.aliases.changes_for(name, now()))
                 if refused:
                     why = printable("; ".join(refused))
                     _denials.warning("%s presented grants that are refused: %s", name, why)
             # 3. What is written down.
-            case PersistParameter(change):
+            case methods.PersistParameter(change):
                 if state.parameter_file is not None:
                     state.parameter_file.write(change)
-            case CallDenied(node):
+            case methods.CallDenied(node):
                 self.denials += 1
                 if text := self._denial_causes.text(now(), event):
                     level = logging.INFO if text.startswith(BASICS) else logging.WARNING
                     _denials.log(level, "%s may not %s", node, printable(text))
-            case Denied(node, right, name):
+            case methods.Denied(node, right, name):
                 state.recent_denials.add(now(), node, right, name)
                 state.on_denial(now(), node, right, name)
             case TypeContradicted(label, topic, here, there):
                 _audit.warning(_CONTRADICTED, topic, label, there, here)
-            case Administered(by, what):
+            case methods.Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
-            case StopMaster(reason):
+            case methods.StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self.stopping.set()
 
@@ -311,8 +297,8 @@ class Effects:
         self.list_changed.set()
 
     def enforcement(self) -> Iterator[None]:
-        for step in enforcement_steps(self._state.registry):
-            for event in enforce(self._state.registry, self._state.trust, step, self._state.now()):
+        for step in statements.enforcement_steps(self._state.registry):
+            for event in statements.enforce(self._state.registry, self._state.trust, step, self._state.now()):
                 self.deliver(event)
             yield
 

@@ -24,8 +24,7 @@ from rossec.errors import AnswerRefused, ConfigurationError, RossecError
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
-from rossec.master.rights.renewals import RenewalAnswer
-from rossec.master.rights.statements import TrustState
+from rossec.master.rights import renewals, statements
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.saved_state import ParameterFile
 from rossec.master.server.updates import SlaveClient
@@ -57,7 +56,7 @@ class LocalAuthority:
     # for a person, while the master keeps confirming the old one. An invalid list is logged, and the list in
     # force stays.
     def __init__(
-        self, find: FindRevocations, trust: TrustState, find_domains: FindDomains = no_domains
+        self, find: FindRevocations, trust: statements.TrustState, find_domains: FindDomains = no_domains
     ) -> None:
         self._find = find  # find, find_domains: read the directory. They raise `HintedError` or `OSError`
         self._trust = trust
@@ -96,7 +95,7 @@ _GRACE: Final = 60  # seconds at most for the first answer
 _own_identity_log = logging.getLogger("rossec.master.own")
 
 # Answers a renewal request with the new bundle, or with what is waited for
-Renew = Callable[[bytes, int], RenewalAnswer]
+Renew = Callable[[bytes, int], renewals.RenewalAnswer]
 
 
 class OwnIdentity:

@@ -18,9 +18,7 @@ from rossec import files
 from rossec.errors import NotWritten
 from rossec.home import NodeHome
 from rossec.master.rights.held_grants import Deposits, VerifyDeposit
-from rossec.master.state import journals
-from rossec.master.state.journals import DepositChange, ParameterChange
-from rossec.master.state.parameters import Parameters
+from rossec.master.state import journals, parameters
 
 _log = logging.getLogger("rossec.master.saved_state")
 _journal_log = logging.getLogger("rossec.master.process_memory")
@@ -161,7 +159,7 @@ class DepositFile:
         self.sync()
         self._journal.close()
 
-    def _append(self, changes: Sequence[DepositChange]) -> None:
+    def _append(self, changes: Sequence[journals.DepositChange]) -> None:
         journal = self._journal
         if journal.file is None:
             raise NotWritten(f"{journal.path} is not open", "restart the master")
@@ -187,7 +185,7 @@ class ParameterFile:
     # at most ten seconds later, so a power failure may lose these. That, and compacting, is the work of a
     # thread and of many passes of the loop: a disk may take seconds.
     def __init__(self, path: Path) -> None:
-        self.parameters = Parameters()
+        self.parameters = parameters.Parameters()
         self._journal = JournalFile(path)
         self._is_open = self._dirty = False
         self._complete = True  # False: a change is missing in the file
@@ -199,7 +197,7 @@ class ParameterFile:
         self._rewrite()
         self._is_open = True
 
-    def write(self, change: ParameterChange) -> None:
+    def write(self, change: journals.ParameterChange) -> None:
         # Append a change that has been made; written, not synced, on return.
         journal = self._journal
         if not self._is_open:

@@ -32,26 +32,12 @@ from rossec.host.addresses import is_near
 from rossec.master.api.dispatch import CONNECTION_SECONDS, MasterApi, RevokedCalls, RevokedConnections
 from rossec.master.api.methods import StopMaster, TurnClock
 from rossec.master.operation import DENIALS, MasterLimits
-from rossec.master.rights.domain_trust import DomainTrust
-from rossec.master.rights.held_grants import verifier
-from rossec.master.rights.renewals import Renewer, TicketSigner
-from rossec.master.rights.statements import TrustState
+from rossec.master.rights import domain_trust, held_grants, renewals, statements
+from rossec.master.server import maintenance
 from rossec.master.server.answers import Admission, CallAnswers
 from rossec.master.server.effects import Effects, MasterState, OnDenial, ignore_denial
-from rossec.master.server.maintenance import (
-    FindDomains,
-    FindRevocations,
-    Gateways,
-    LocalAuthority,
-    Maintenance,
-    OwnIdentity,
-    no_authority,
-    no_domains,
-)
 from rossec.master.server.saved_state import DepositFile, ListFile, ParameterFile
-from rossec.master.state.imported_facts import Site
-from rossec.master.state.imports import Imports
-from rossec.master.state.parameters import MirrorChange
+from rossec.master.state import imported_facts, imports, parameters
 from rossec.master.state.registry import Kind, Registry
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.limits import UNSHOWN_UNIT, HalfOpen, HalfOpenCount
@@ -84,7 +70,7 @@ class MasterServer:
         suites: tuple[int, ...] = PRODUCTION,
         timestamp_every: float = TIMESTAMP_EVERY,
         check_own_identity: Callable[[int], None] = lambda _: None,
-        nearby: LocalAuthority | None = None,
+        nearby: maintenance.LocalAuthority | None = None,
         turns: TurnClock | None = None,
     ) -> None:
         self._address = (host, port)
@@ -105,9 +91,13 @@ class MasterServer:
             renews=Identity.renews,
         )
         self.effects: Final = Effects(state, self.context)
-        nearby = LocalAuthority(no_authority, state.trust) if nearby is None else nearby
-        self._maintenance = Maintenance(state, self.effects, timestamp_every, check_own_identity, nearby)
-        self._gateways = Gateways(state, self.effects)
+        nearby = (
+            maintenance.LocalAuthority(maintenance.no_authority, state.trust) if nearby is None else nearby
+        )
+        self._maintenance = maintenance.Maintenance(
+            state, self.effects, timestamp_every, check_own_identity, nearby
+        )
+        self._gateways = maintenance.Gateways(state, self.effects)
         self._admission = Admission(state)
         self._revoked_connections = RevokedConnections()
         self._api: MasterApi  # set by `start`, as it has the port
@@ -143,13 +133,13 @@ class MasterServer:
         self._maintenance.start(self._api.keep_views)
         self._gateways.start()
 
-    def mirror(self, site: Site, tree: dict[str, object]) -> None:
+    def mirror(self, site: imported_facts.Site, tree: dict[str, object]) -> None:
         self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
 
     def drop_mirror(self, label: str) -> None:
         self._send_mirrored(self.state.imports.mirrors.drop(label))
 
-    def _send_mirrored(self, changes: Iterable[MirrorChange]) -> None:
+    def _send_mirrored(self, changes: Iterable[parameters.MirrorChange]) -> None:
         for event in self._api.parameters.mirror(changes, self.state.now()):
             self.effects.deliver(event)
 
@@ -248,26 +238,28 @@ def master_of(
     newest: bytes | None,
     now: int,
     entries: bytes | None = None,
-    renewer: Renewer | None = None,
+    renewer: renewals.Renewer | None = None,
     on_denial: OnDenial = ignore_denial,
     limits: MasterLimits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
-    find_revocations: FindRevocations = no_authority,
-    find_domains: FindDomains = no_domains,
+    find_revocations: maintenance.FindRevocations = maintenance.no_authority,
+    find_domains: maintenance.FindDomains = maintenance.no_domains,
 ) -> MasterServer:
-    # The master whose identity is in `home`, not yet started. `host` (ROS_HOSTNAME or ROS_IP) is advertised,
-    # and listened on alone when it is loopback, as in ROS; None: this machine's name, and any address.
-    # `newest` is a revocation list (of a tree, with its `entries`) that may be newer than the one saved, from
-    # an authority on this host. `renewer` renews identities with an intermediate of this host; None: the
-    # authority's service does.
-    anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
+    """The master whose identity is in `home`, not yet started.
+
+    `host` (ROS_HOSTNAME or ROS_IP) is advertised, and listened on alone when it is loopback, as in ROS; None:
+    this machine's name, and any address. `newest` is a revocation list (of a tree, with its `entries`) that
+    may be newer than the one saved, from an authority on this host. `renewer` renews identities with an
+    intermediate of this host; None: the authority's service does.
+    """
+    anchor, own_identity, saved_list = home.anchor(), maintenance.OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
     # 1. The newest revocation list known here.
     revocations = saved_revocations(home, anchor, now)
     if newest is not None:
         revocations.update(newest, now, saved_list.save)
     # 2. The authority's leave to renew grants; without it nodes ask the authority.
-    delegate = TicketSigner(anchor, signer, home.save_delegation)
+    delegate = renewals.TicketSigner(anchor, signer, home.save_delegation)
     delegation = home.load_delegation()
     if delegation is not None:
         try:
@@ -275,7 +267,7 @@ def master_of(
         except HintedError as error:
             _log.warning("grants are not renewed: %s", error)
     # 3. All that is trusted, and the entries of a tree, in which only its root is signed.
-    trust = TrustState(
+    trust = statements.TrustState(
         anchor,
         signer,
         revocations,
@@ -304,11 +296,11 @@ def master_of(
     state = MasterState(
         name=home.name,
         trust=trust,
-        imports=Imports(Registry(limits.nodes_per_identity)),
+        imports=imports.Imports(Registry(limits.nodes_per_identity)),
         limits=limits,
         on_denial=on_denial,
         parameter_file=ParameterFile(home.path / "parameters.journal"),
-        deposit_file=DepositFile(home.path / "deposits.journal", verifier(anchor, trust.check)),
+        deposit_file=DepositFile(home.path / "deposits.journal", held_grants.verifier(anchor, trust.check)),
     )
     server = MasterServer(
         state,
@@ -318,7 +310,7 @@ def master_of(
         advertise=host or socket.gethostname(),
         suites=suites,
         check_own_identity=maintain,
-        nearby=LocalAuthority(find_revocations, trust, find_domains),
+        nearby=maintenance.LocalAuthority(find_revocations, trust, find_domains),
     )
 
     def answered(key: bytes) -> None:
@@ -331,7 +323,7 @@ def master_of(
 
 def _domains(
     home: NodeHome, anchor: TrustAnchor, own: Revocations, saved_list: ListFile, now: int
-) -> DomainTrust:
+) -> domain_trust.DomainTrust:
     saved = DomainFiles(home, anchor)
     trust_status = saved.trust_status(saved.anchors(), own, now)
 
@@ -348,4 +340,4 @@ def _domains(
             saved_list.save_by(("of", domain), partial(saved.save_foreign, listed.anchor), data)
 
     save = partial(saved_list.save_by, "domains", saved.save_domains)
-    return DomainTrust(trust_status, save, save_foreign, load_foreign)
+    return domain_trust.DomainTrust(trust_status, save, save_foreign, load_foreign)

@@ -22,8 +22,7 @@ from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc import RpcClient
 from rossec.peer_limits import printable
-from rossec.ros.names import parse_uri
-from rossec.ros.xmlrpc import Fault
+from rossec.ros import names, xmlrpc
 
 
 def is_node(peer: Identity, node: NodeRef) -> bool:
@@ -44,7 +43,7 @@ class SlaveDialer:
         self.probed: Final[set[NodeRef]] = set()
 
     async def dial(self, node: NodeRef) -> RpcClient:
-        host, port = parse_uri(node.uri, "the slave API")
+        host, port = names.parse_uri(node.uri, "the slave API")
         stream = await connect(host, port, self._context, WireProtocol.HTTP)
         if not is_node(stream.peer, node):
             stream.abort("not the node that was registered")
@@ -157,7 +156,7 @@ class NodeClient:
         try:
             await self._client.ask(method, *params)
             self._on_taken(self.node, method, params)
-        except (Fault, AnswerRefused) as error:
+        except (xmlrpc.Fault, AnswerRefused) as error:
             _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
             _log.info("cannot reach %s for %s: %s", self.node.name, method, printable(error))

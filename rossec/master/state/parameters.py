@@ -18,8 +18,7 @@ from ca.errors import NameRefused
 from ca.names import REMOTE, check_label, check_name, is_alias
 from rossec.errors import ImportRefused
 from rossec.master.state.imported_facts import Site
-from rossec.ros import names
-from rossec.ros.xmlrpc import EncodedList
+from rossec.ros import names, xmlrpc
 
 DEPTH_LIMIT: Final = 32
 _NAME_SHOWN: Final = 80  # characters of a name in an error
@@ -54,7 +53,7 @@ def check_value(value: object, depth: int = DEPTH_LIMIT) -> None:
 def encoded_size(value: object) -> int:
     """About how many bytes `value` takes in an answer; for any value that a method returns."""
     match value:
-        case EncodedList():
+        case xmlrpc.EncodedList():
             return len(value.text)
         case str() | bytes():
             return _TEXT + len(value)

@@ -14,29 +14,11 @@ from grants.model import Right
 from grants.request import is_dispensable, missing_right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.participant import registrations
-from rossec.participant.handshakes import offer_refusal
-from rossec.participant.slave_api import without_caller
+from rossec.participant import handshakes, registrations, slave_api
 from rossec.peer_limits import printable
 from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.layers import (
-    AgentState,
-    Answered,
-    CallMaster,
-    CallProgram,
-    Event,
-    Layer,
-    ListeningAddress,
-    NoAnswer,
-    Probe,
-    Program,
-    Suspend,
-    UnexpectedEvent,
-    local_endpoint,
-    own_endpoint,
-    parse_endpoint,
-)
+from rossec.sidecar.core import layers
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
@@ -98,7 +80,7 @@ RULES: Final = {
 }
 
 
-def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> Layer[object]:
+def handle_call(agent: layers.AgentState, method: str, params: tuple[object, ...]) -> layers.Layer[object]:
     if method == MULTICALL:
         return (yield from _multicall(agent, params))
     rule = rule_of(method)
@@ -130,10 +112,10 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
 
 
 def _refusal(
-    agent: AgentState, method: str, rule: CallRule, params: tuple[object, ...]
+    agent: layers.AgentState, method: str, rule: CallRule, params: tuple[object, ...]
 ) -> list[object] | None:
     # The answer to a call that need not reach the master; None: it must.
-    refused = without_caller(params, rule.default)
+    refused = slave_api.without_caller(params, rule.default)
     if refused is not None:
         return refused
     caller = str(params[0])
@@ -147,7 +129,7 @@ def _refusal(
             again = f"rossec node request {name} --anonymous"
             return [-1, f"{told} enroll it for anonymous nodes too, with a key of its own: {again}", 0]
         return [-1, f"{told} with an identity of its own", 0]
-    return offer_refusal(method, registrations.resolve_params(method, params, caller))
+    return handshakes.offer_refusal(method, registrations.resolve_params(method, params, caller))
 
 
 def rule_of(method: str) -> CallRule:
@@ -157,17 +139,17 @@ def rule_of(method: str) -> CallRule:
     return rule
 
 
-def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
-    event = yield CallMaster(method, params)
-    if not isinstance(event, Answered):
-        raise HangUp(event.reason) if isinstance(event, NoAnswer) else UnexpectedEvent(method)
+def _call_master(method: str, params: tuple[object, ...]) -> layers.Layer[list[object]]:
+    event = yield layers.CallMaster(method, params)
+    if not isinstance(event, layers.Answered):
+        raise HangUp(event.reason) if isinstance(event, layers.NoAnswer) else layers.UnexpectedEvent(method)
     answer = event.value
     if not isinstance(answer, list) or len(answer) != 3:
         raise HangUp("the master's answer is not [code, status, value]")
     return answer
 
 
-def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
+def _search(caller: str, name: object, key: str) -> layers.Layer[list[object]]:
     # Search from the namespace of `caller`; the master would search from that of `name`.
     for candidate, found in registrations.search_places(caller, key):
         answer = registrations.search_result(
@@ -178,7 +160,7 @@ def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
     return registrations.not_found(key)
 
 
-def _multicall(agent: AgentState, given: tuple[object, ...]) -> Layer[object]:
+def _multicall(agent: layers.AgentState, given: tuple[object, ...]) -> layers.Layer[object]:
     calls = given[0] if len(given) == 1 else None
     if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
         raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
@@ -196,8 +178,8 @@ def _multicall(agent: AgentState, given: tuple[object, ...]) -> Layer[object]:
 
 
 def _params_for_master(
-    agent: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
-) -> Layer[tuple[object, ...] | None]:
+    agent: layers.AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
+) -> layers.Layer[tuple[object, ...] | None]:
     # The parameters for the secured master; None: the address is not the program's own.
     # `rosnode cleanup` names dead nodes; the master authorizes it.
     name = caller if method in registrations.UNREGISTERS else agent.name_for(caller)
@@ -206,7 +188,7 @@ def _params_for_master(
     for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
             continue
-        given = parse_endpoint(params[index], protocol)
+        given = layers.parse_endpoint(params[index], protocol)
         if given is None:
             continue  # the master refuses it with a reason
         address = yield from _address(agent, method, given)
@@ -218,29 +200,31 @@ def _params_for_master(
         agent.endpoints.set_own_uri(own_api, str(params[rule.api or 0]))
         known = agent.programs.get(own_api)
         if known is None or known.name != caller:  # the port may have been reused
-            agent.programs[own_api] = Program(caller)
+            agent.programs[own_api] = layers.Program(caller)
     return tuple(changed)
 
 
-def _address(agent: AgentState, method: str, given: ListeningAddress) -> Layer[str | None]:
+def _address(
+    agent: layers.AgentState, method: str, given: layers.ListeningAddress
+) -> layers.Layer[str | None]:
     # An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No program
     # can register one as its own; the sidecar would call itself. Only who registers opens a port: who
     # unregisters may name that of a program that has ended, which another one has now.
-    local = local_endpoint(given.protocol, given.port)
+    local = layers.local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
     if method not in registrations.REGISTERS:
         return (remote or agent.endpoints.network_of(local)).uri
     return None if remote is not None else (yield from agent.ingress_endpoint(local)).uri
 
 
-def _own_api(rule: CallRule, params: tuple[object, ...]) -> ListeningAddress | None:
+def _own_api(rule: CallRule, params: tuple[object, ...]) -> layers.ListeningAddress | None:
     if rule.api is None or rule.api >= len(params):
         return None
-    return own_endpoint(params[rule.api])
+    return layers.own_endpoint(params[rule.api])
 
 
 def _record_registration(
-    agent: AgentState,
+    agent: layers.AgentState,
     method: str,
     rule: CallRule,
     params: tuple[object, ...],
@@ -250,7 +234,7 @@ def _record_registration(
 ) -> None:
     own_api = _own_api(rule, params)
     if method in registrations.REGISTERS and own_api is not None:
-        program = agent.programs.setdefault(own_api, Program(str(params[0])))
+        program = agent.programs.setdefault(own_api, layers.Program(str(params[0])))
         program.registrations.record(method, master_params, refused=refused)
     elif method in registrations.UNREGISTERS:
         for program in agent.programs.values():
@@ -258,21 +242,21 @@ def _record_registration(
 
 
 def _answer_for_program(
-    agent: AgentState, rule: CallRule, own_api: ListeningAddress | None, answer: list[object]
-) -> Layer[list[object]]:
+    agent: layers.AgentState, rule: CallRule, own_api: layers.ListeningAddress | None, answer: list[object]
+) -> layers.Layer[list[object]]:
     code, status, value = answer
     match rule.result:
         case Result.NODES:
             value = yield from agent.egress_uris(value, own_api)
         case Result.NODE:
-            remote = parse_endpoint(value, WireProtocol.HTTP)
+            remote = layers.parse_endpoint(value, WireProtocol.HTTP)
             if remote is None:
                 value = ""
             else:
                 own = agent.endpoints.program_at(remote)
                 value = yield from agent.egress_uri(remote, own, probe=True)
         case Result.SERVICE:
-            remote = parse_endpoint(value, WireProtocol.TCPROS)
+            remote = layers.parse_endpoint(value, WireProtocol.TCPROS)
             value = "" if remote is None else (yield from agent.egress_uri(remote))
             status = f"rosrpc URI: [{value}]"
         case Result.MASTER:
@@ -282,12 +266,12 @@ def _answer_for_program(
     return [code, status, value]
 
 
-def restore(agent: AgentState, holds: Holds) -> Layer[None]:
+def restore(agent: layers.AgentState, holds: Holds) -> layers.Layer[None]:
     """Make every registration again with a restarted master, except those of dead programs."""
     # A dead program could replace a new one of the same name, which the master would shut down. One that was
     # refused before is made if this identity holds the right now.
     for own_api, program in tuple(agent.programs.items()):
-        if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+        if (yield from _is_gone(agent, own_api, (yield layers.Probe(own_api)))):
             continue
         refused = program.registrations.refused()
         calls = [call for call in program.registrations if call not in refused]
@@ -295,17 +279,17 @@ def restore(agent: AgentState, holds: Holds) -> Layer[None]:
             yield from _register_again(agent, own_api, method, params)
 
 
-def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
+def resubscribe(agent: layers.AgentState, topic: str) -> layers.Layer[None]:
     for own_api, program in tuple(agent.programs.items()):
         params = program.registrations.find(SUBSCRIBE, topic)
         if params is not None:
             yield from _register_again(agent, own_api, SUBSCRIBE, params)
 
 
-def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
+def rights_changed(agent: layers.AgentState, holds: Holds) -> layers.Layer[None]:
     for own_api, program in tuple(agent.programs.items()):
         wanted = _allowed(program.registrations, holds)
-        if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+        if wanted and not (yield from _is_gone(agent, own_api, (yield layers.Probe(own_api)))):
             for method, params in wanted:
                 yield from _register_again(agent, own_api, method, params)
 
@@ -319,25 +303,25 @@ def _allowed(calls: Iterable[registrations.Call], holds: Holds) -> list[registra
 
 
 def _register_again(
-    agent: AgentState, own_api: ListeningAddress, method: str, params: tuple[object, ...]
-) -> Layer[None]:
-    event = yield CallMaster(method, params)
+    agent: layers.AgentState, own_api: layers.ListeningAddress, method: str, params: tuple[object, ...]
+) -> layers.Layer[None]:
+    event = yield layers.CallMaster(method, params)
     program = agent.programs.get(own_api)
     match event:
-        case Answered(value=[1, _, value]):
+        case layers.Answered(value=[1, _, value]):
             if program is not None:
                 program.registrations.record(method, params)
             if method == SUBSCRIBE:
                 topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
                 publishers = agent.followed_publishers(topic, value)
                 yield from _update_publishers(agent, own_api, topic, publishers)
-        case NoAnswer(reason=reason):
+        case layers.NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
             pass
 
 
-def drop_expired_publishers(agent: AgentState) -> Layer[None]:
+def drop_expired_publishers(agent: layers.AgentState) -> layers.Layer[None]:
     """Update the subscribers of topics whose publishers the master did not name again in time."""
     for topic in agent.publisher_grace.expired_topics():
         for own_api, program in tuple(agent.programs.items()):
@@ -347,18 +331,20 @@ def drop_expired_publishers(agent: AgentState) -> Layer[None]:
 
 
 def _update_publishers(
-    agent: AgentState, own_api: ListeningAddress, topic: str, publishers: list[str]
-) -> Layer[None]:
+    agent: layers.AgentState, own_api: layers.ListeningAddress, topic: str, publishers: list[str]
+) -> layers.Layer[None]:
     uris = yield from agent.egress_uris(publishers, own_api)
     yield from _is_gone(
-        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (MASTER, topic, uris)))
+        agent, own_api, (yield layers.CallProgram(own_api, "publisherUpdate", (MASTER, topic, uris)))
     )
 
 
-def _is_gone(agent: AgentState, own_api: ListeningAddress, event: Event) -> Layer[bool]:
-    if isinstance(event, NoAnswer) and event.dead:
+def _is_gone(
+    agent: layers.AgentState, own_api: layers.ListeningAddress, event: layers.Event
+) -> layers.Layer[bool]:
+    if isinstance(event, layers.NoAnswer) and event.dead:
         agent.forget(own_api)
-        yield Suspend(own_api)
+        yield layers.Suspend(own_api)
         return True
     return False
 

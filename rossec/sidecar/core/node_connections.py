@@ -21,31 +21,8 @@ from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant import definitions, delivery, handshakes, slave_api
 from rossec.participant.access import FIELD, granted_name, wire_name
 from rossec.peer_limits import printable
-from rossec.ros.names import PORTS, PRESENT_GRANTS
-from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.core.layers import (
-    AgentState,
-    Answered,
-    AuthenticatePeer,
-    CallPeer,
-    CallProgram,
-    ConnectPeer,
-    ConnectProgram,
-    Event,
-    HeaderArrived,
-    Layer,
-    ListeningAddress,
-    NoAnswer,
-    Probe,
-    RawResponse,
-    Suspend,
-    UnexpectedEvent,
-    authenticated_peer,
-    local_endpoint,
-    own_endpoint,
-    parse_endpoint,
-    topic_endpoint,
-)
+from rossec.ros import names, xmlrpc
+from rossec.sidecar.core import layers
 
 # Empty for peers: it would count what a grant withholds. A peer's is forwarded unparsed: roscpp's is
 # malformed, and it holds no address.
@@ -59,48 +36,48 @@ FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's ca
 
 
 def handle_peer_call(
-    agent: AgentState,
-    local: ListeningAddress,
+    agent: layers.AgentState,
+    local: layers.ListeningAddress,
     peer: Identity,
     method: str,
     params: tuple[object, ...],
     grants: bytes | None,
     now: int,
-) -> Layer[object]:
+) -> layers.Layer[object]:
     node = agent.identity.name
-    if method == PRESENT_GRANTS:
+    if method == names.PRESENT_GRANTS:
         agent.access.check_peer(peer, now)
-        yield from _require_alive(agent, local, (yield Probe(local)))
+        yield from _require_alive(agent, local, (yield layers.Probe(local)))
         return [1, "", 0]
     slave_api.check_slave_call(method, peer, node, grants, agent.access, now)
     answer = _answer_at_once(peer, method, params)
     if answer is not None:
         return answer
-    if method in (REQUEST_TOPIC, PORTS):
+    if method in (REQUEST_TOPIC, names.PORTS):
         # The same for every topic: the program is asked once an authorized peer connects there (N5).
-        yield from _require_alive(agent, local, (yield Probe(local)))
-        ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
-        if method == PORTS:
+        yield from _require_alive(agent, local, (yield layers.Probe(local)))
+        ingress = yield from agent.ingress_endpoint(layers.topic_endpoint(local))
+        if method == names.PORTS:
             return slave_api.ports_answer(ingress.port)
         return [1, "ready", [slave_api.TCPROS, ingress.host, ingress.port]]
     changed = (handshakes.caller_here(peer, str(params[0])), *params[1:])
     if method == "publisherUpdate" and len(params) == 3:
         followed = agent.followed_publishers(params[1], params[2])
         changed = (*changed[:2], (yield from agent.egress_uris(followed, local)))
-    event = yield CallProgram(local, method, changed)
+    event = yield layers.CallProgram(local, method, changed)
     yield from _require_alive(agent, local, event)
     match event:
-        case Answered(value=[code, str() as status, value]) if succeeded(code):
+        case layers.Answered(value=[code, str() as status, value]) if succeeded(code):
             described = handshakes.answer_for(peer, method, value)
             return (yield from _answer_for_peer(agent, local, method, status, described))
-        case Answered(value=value):
+        case layers.Answered(value=value):
             return _refusal(value)
         case _:
-            raise UnexpectedEvent(method)
+            raise layers.UnexpectedEvent(method)
 
 
 def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> list[object] | None:
-    if method == PORTS:
+    if method == names.PORTS:
         return slave_api.refusal(method, params, peer)
     refused = slave_api.without_caller(params, slave_api.RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
@@ -127,12 +104,14 @@ def _refusal(answer: object) -> list[object]:
             return [-1, "rossec: an answer that is not [code, status, value]", 0]
 
 
-def _require_alive(agent: AgentState, local: ListeningAddress, event: Event) -> Layer[None]:
+def _require_alive(
+    agent: layers.AgentState, local: layers.ListeningAddress, event: layers.Event
+) -> layers.Layer[None]:
     # Hang up if the program did not answer; suspend its port if it has ended.
-    if isinstance(event, NoAnswer):
+    if isinstance(event, layers.NoAnswer):
         if event.dead:
             agent.forget(local)
-            yield Suspend(local)
+            yield layers.Suspend(local)
         raise HangUp(event.reason)
 
 
@@ -145,8 +124,8 @@ def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
 
 
 def _answer_for_peer(
-    agent: AgentState, local: ListeningAddress, method: str, status: object, value: object
-) -> Layer[object]:
+    agent: layers.AgentState, local: layers.ListeningAddress, method: str, status: object, value: object
+) -> layers.Layer[object]:
     match method, value:
         case "getUri", _:
             return [1, status, (yield from agent.ingress_endpoint(local)).uri]
@@ -155,9 +134,9 @@ def _answer_for_peer(
         case "getBusInfo", list() as entries:
             uris: dict[str, str] = {}
             for uri in _inbound(entries):
-                endpoint = parse_endpoint(uri, WireProtocol.HTTP)
+                endpoint = layers.parse_endpoint(uri, WireProtocol.HTTP)
                 remote = None if endpoint is None else agent.endpoints.peer_at(endpoint)
-                if own_endpoint(uri) == local:
+                if layers.own_endpoint(uri) == local:
                     remote = yield from agent.ingress_endpoint(local)
                 if remote is not None:
                     uris[uri] = remote.uri
@@ -183,10 +162,10 @@ def _with_uris(entries: list[object], uris: Mapping[str, str]) -> list[object]:
 
 
 def handle_program_call(
-    agent: AgentState, remote: ListeningAddress, method: str, params: tuple[object, ...]
-) -> Layer[object]:
+    agent: layers.AgentState, remote: layers.ListeningAddress, method: str, params: tuple[object, ...]
+) -> layers.Layer[object]:
     if method not in slave_api.OPEN | slave_api.MASTER_ONLY | slave_api.SLAVE_CALLS.keys():
-        raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
+        raise xmlrpc.Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     refused = slave_api.without_caller(params, slave_api.RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
         refused = _invalid_request_topic(params)
@@ -196,35 +175,35 @@ def handle_program_call(
     if method == REQUEST_TOPIC:
         changed = yield from _request_for_peer(agent, remote, str(params[0]), str(params[1]))
     parse = method not in _UNPARSED
-    event = yield CallPeer(remote, method, changed, slave_api.SLAVE_CALLS.get(method), parse)
+    event = yield layers.CallPeer(remote, method, changed, slave_api.SLAVE_CALLS.get(method), parse)
     match event:
-        case RawResponse(body=body) if method in _UNPARSED:
-            return Encoded(body)
-        case Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
+        case layers.RawResponse(body=body) if method in _UNPARSED:
+            return xmlrpc.Encoded(body)
+        case layers.Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
             if peer is not None:
                 value = handshakes.answer_here(peer, agent.identity.domain, method, value)
             return (yield from _answer_for_program(agent, remote, method, status, value))
-        case Answered(value=value):
+        case layers.Answered(value=value):
             return _refusal(value)
-        case NoAnswer(reason=reason):
+        case layers.NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
-            raise UnexpectedEvent(method)
+            raise layers.UnexpectedEvent(method)
 
 
 def _request_for_peer(
-    agent: AgentState, remote: ListeningAddress, caller: str, topic: str
-) -> Layer[tuple[object, ...]]:
+    agent: layers.AgentState, remote: layers.ListeningAddress, caller: str, topic: str
+) -> layers.Layer[tuple[object, ...]]:
     if not is_alias(topic):
         return agent.name_for(caller), topic, [[slave_api.TCPROS]]
     split_alias(topic)  # malformed: refused; who the peer is decides what the topic is called there
-    peer = authenticated_peer((yield AuthenticatePeer(remote)))
+    peer = layers.authenticated_peer((yield layers.AuthenticatePeer(remote)))
     return agent.name_for_peer(caller, peer), wire_name(peer, topic), [[slave_api.TCPROS]]
 
 
 def _answer_for_program(
-    agent: AgentState, remote: ListeningAddress, method: str, status: object, value: object
-) -> Layer[object]:
+    agent: layers.AgentState, remote: layers.ListeningAddress, method: str, status: object, value: object
+) -> layers.Layer[object]:
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (host and 0 < port < 1 << 16) and (
             # Not back to a program here, unless it asked that one: the sidecar would connect to itself.
@@ -234,7 +213,7 @@ def _answer_for_program(
             topics = _topics_of(remote, host, port)
             uri = yield from agent.egress_uri(topics)
             agent.endpoints.set_api(topics, remote)
-            egress = parse_endpoint(uri, WireProtocol.TCPROS)
+            egress = layers.parse_endpoint(uri, WireProtocol.TCPROS)
             return [1, "ready", ["TCPROS", egress.host, egress.port]] if egress else [-1, "", []]
         case "requestTopic", _:
             return [-1, slave_api.NO_TRANSPORT, []]
@@ -245,7 +224,7 @@ def _answer_for_program(
         case "getBusInfo", list() as entries:
             uris: dict[str, str] = {}
             for uri in dict.fromkeys(_inbound(entries)):
-                api = parse_endpoint(uri, WireProtocol.HTTP)
+                api = layers.parse_endpoint(uri, WireProtocol.HTTP)
                 if api is not None and len(uris) < _MAX_EGRESS_PORTS:
                     uris[uri] = yield from agent.egress_uri(api, agent.endpoints.program_at(api))
             return [1, status, _with_uris(entries, uris)]
@@ -253,12 +232,12 @@ def _answer_for_program(
             return [1, status, value]
 
 
-def _topics_of(remote: ListeningAddress, host: str, port: int) -> ListeningAddress:
+def _topics_of(remote: layers.ListeningAddress, host: str, port: int) -> layers.ListeningAddress:
     # From a peer behind a relay's forwarded port only that it offers TCPROS counts: the topic is at the
     # forwarded port, too.
     if remote.forwarded_port:
         host, port = remote.host, remote.port
-    return ListeningAddress(WireProtocol.TCPROS, host, port)
+    return layers.ListeningAddress(WireProtocol.TCPROS, host, port)
 
 
 def unrestricted(decision: Decision) -> None:
@@ -280,14 +259,14 @@ class AdmittedConnection:
 
 
 def admit_peer(
-    agent: AgentState,
-    local: ListeningAddress,
+    agent: layers.AgentState,
+    local: layers.ListeningAddress,
     fields: Mapping[str, bytes],
     peer: Identity,
     filter_key: definitions.FilterKey,
     memory_scope_of: FindMemoryScope,
     now: int,
-) -> Layer[AdmittedConnection]:
+) -> layers.Layer[AdmittedConnection]:
     # 1. What is asked for, at the port for that; 2. the peer's right to it, before the program hears of it.
     service, options = _is_service(fields), delivery.NO_OPTIONS
     if service is local.via_slave_api:
@@ -301,9 +280,9 @@ def admit_peer(
         options = delivery.carried_out(delivery.requested_options(fields), decision)
         target = yield from _request_topic(agent, local, fields, peer)
     # 3. The program's own answer, without what only peers may see; 4. the proof of this side, and the guard.
-    event = yield ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
-    if isinstance(event, NoAnswer) and event.dead:
-        yield Suspend(local)
+    event = yield layers.ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
+    if isinstance(event, layers.NoAnswer) and event.dead:
+        yield layers.Suspend(local)
     arrived = _require_header(event)
     if "error" in arrived.fields:
         raise ConnectionHeaderRefused(handshakes.text(arrived.fields, "error"))
@@ -332,25 +311,27 @@ def admit_peer(
 
 
 def _request_topic(
-    agent: AgentState, local: ListeningAddress, fields: Mapping[str, bytes], peer: Identity
-) -> Layer[ListeningAddress]:
+    agent: layers.AgentState, local: layers.ListeningAddress, fields: Mapping[str, bytes], peer: Identity
+) -> layers.Layer[layers.ListeningAddress]:
     topic = handshakes.requested_topic(fields)
     request = (handshakes.caller_here(peer, handshakes.text(fields, _CALLER)), topic, [[slave_api.TCPROS]])
-    event = yield CallProgram(local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request)
+    event = yield layers.CallProgram(
+        layers.local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request
+    )
     match event:
-        case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
+        case layers.Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
             succeeded(code) and protocol == slave_api.TCPROS and 0 < port < 1 << 16
         ):
-            return local_endpoint(WireProtocol.TCPROS, port)
-        case Answered():
+            return layers.local_endpoint(WireProtocol.TCPROS, port)
+        case layers.Answered():
             raise ConnectionHeaderRefused(f"{agent.identity.name} does not publish {topic}")
-        case NoAnswer(dead=True, reason=reason):
-            yield Suspend(local)
+        case layers.NoAnswer(dead=True, reason=reason):
+            yield layers.Suspend(local)
             raise HangUp(reason)
-        case NoAnswer(reason=reason):
+        case layers.NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
-            raise UnexpectedEvent(type(event).__name__)
+            raise layers.UnexpectedEvent(type(event).__name__)
 
 
 def _is_service(fields: Mapping[str, bytes]) -> bool:
@@ -365,26 +346,26 @@ def _program_name(fields: Mapping[str, bytes]) -> str:
     return handshakes.text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
 
-def _caller_name(agent: AgentState, fields: Mapping[str, bytes], foreign: bool) -> bytes:
+def _caller_name(agent: layers.AgentState, fields: Mapping[str, bytes], foreign: bool) -> bytes:
     given = handshakes.text(fields, _CALLER) if _CALLER in fields and not foreign else ""
     return agent.name_for(given).encode()
 
 
 def connect_to_peer(
-    agent: AgentState,
-    remote: ListeningAddress,
+    agent: layers.AgentState,
+    remote: layers.ListeningAddress,
     fields: Mapping[str, bytes],
     filter_key: definitions.FilterKey,
     memory_scope_of: FindMemoryScope,
     now: int,
-) -> Layer[AdmittedConnection]:
+) -> layers.Layer[AdmittedConnection]:
     service = _is_service(fields)
     wanted = handshakes.text(fields, "service" if service else "topic")
     if service:
         request = handshakes.fields_on_wire(without_grants(fields))
         request[_CALLER] = _caller_name(agent, fields, is_alias(wanted))
         request |= handshakes.caller_proof(wanted, agent.access, now)
-        event = yield ConnectPeer(remote, request)
+        event = yield layers.ConnectPeer(remote, request)
         arrived, peer = _from_peer(event)
         decision = handshakes.admit_provider(arrived.fields, peer, wanted, agent.access, arrived.now)
         decision.require_unrestricted()
@@ -396,7 +377,7 @@ def connect_to_peer(
     granted, caller = yield from _name_granted(agent, remote, fields)
     request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
     request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
-    arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
+    arrived, peer = _from_peer((yield layers.ConnectPeer(remote, request)))
     decision = handshakes.admit_publisher(arrived.fields, peer, granted, own, agent.access, arrived.now)
     delivery.accepted_options(arrived.fields, delivery.NO_OPTIONS)
     sent = definitions.from_header(arrived.fields)
@@ -420,29 +401,29 @@ def connect_to_peer(
 
 
 def _name_granted(
-    agent: AgentState, remote: ListeningAddress, fields: Mapping[str, bytes]
-) -> Layer[tuple[str, bytes]]:
+    agent: layers.AgentState, remote: layers.ListeningAddress, fields: Mapping[str, bytes]
+) -> layers.Layer[tuple[str, bytes]]:
     # Of an alias both depend on who the peer is, which is known before it is sent anything.
     topic = handshakes.text(fields, "topic")
     if not is_alias(topic):
         return topic, _caller_name(agent, fields, foreign=False)
     split_alias(topic)
-    peer = authenticated_peer((yield AuthenticatePeer(remote)))
+    peer = layers.authenticated_peer((yield layers.AuthenticatePeer(remote)))
     return granted_name(peer, topic), _caller_name(agent, fields, peer.is_foreign)
 
 
-def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:
+def _from_peer(event: layers.Event) -> tuple[layers.HeaderArrived, Identity]:
     arrived = _require_header(event)
     if arrived.peer is None:
-        raise UnexpectedEvent("a peer without an identity")
+        raise layers.UnexpectedEvent("a peer without an identity")
     return arrived, arrived.peer
 
 
-def _require_header(event: Event) -> HeaderArrived:
-    if isinstance(event, NoAnswer):
+def _require_header(event: layers.Event) -> layers.HeaderArrived:
+    if isinstance(event, layers.NoAnswer):
         raise HangUp(event.reason)
-    if not isinstance(event, HeaderArrived):
-        raise UnexpectedEvent(type(event).__name__)
+    if not isinstance(event, layers.HeaderArrived):
+        raise layers.UnexpectedEvent(type(event).__name__)
     return event
 
 

@@ -7,17 +7,16 @@ import pytest
 
 from rossec.errors import RelayRefused
 from rossec.master.state.forwarded_ports import PeerWay, Target
-from rossec.overlay import forwarded_ports
 from rossec.overlay.forwarded_ports import ForwardedPortTable, OpenPorts
 
 ROBOT = Target("office", "node", "/robot")
 WAYS = {"office": PeerWay("idle", 0, 0, "", 0)}
 
 
-async def carry(forwarded_port: forwarded_ports.PeerTarget, sock: socket.socket) -> None:
+async def carry(target: Target, sock: socket.socket) -> None:
     """Say what the forwarded port stands for."""
     sock.setblocking(True)
-    sock.sendall(f"{forwarded_port.peer} {forwarded_port.target}".encode())
+    sock.sendall(" ".join(target).encode())
     sock.close()
 
 
@@ -36,7 +35,7 @@ async def test_a_target_has_one_forwarded_port_whoever_wants_it() -> None:
     forwarded_port = await table.open(ROBOT, "/master")
     assert forwarded_port == await table.open(ROBOT, "/master/kitchen")
     assert forwarded_port.host == "127.0.0.1"
-    assert len(table) == 1
+    assert len(table.wanted) == 1
     assert await asyncio.to_thread(said, forwarded_port.port) == "office node /robot"
     table.release(ROBOT, "/master")
     assert is_open(forwarded_port.port)
@@ -44,7 +43,7 @@ async def test_a_target_has_one_forwarded_port_whoever_wants_it() -> None:
     table.release(ROBOT, "/master/kitchen")
     await asyncio.sleep(0.1)
     assert not is_open(forwarded_port.port)
-    assert len(table) == 0
+    assert len(table.wanted) == 0
     await table.close()
 
 
@@ -62,7 +61,7 @@ async def test_the_forwarded_ports_of_a_peer_that_is_gone_are_closed() -> None:
     other = await table.open(ROBOT._replace(peer="clinic"), "/master")
     table.drop_peer("office")
     await asyncio.sleep(0.1)
-    assert (is_open(forwarded_port.port), is_open(other.port), len(table)) == (False, True, 1)
+    assert (is_open(forwarded_port.port), is_open(other.port), len(table.wanted)) == (False, True, 1)
     assert [table.take_dropped("/master") for _ in range(2)] == [{ROBOT}, set()]
     await table.close()
     assert not is_open(other.port)
@@ -72,5 +71,5 @@ async def test_a_forwarded_port_that_makes_room_for_another_is_wanted_no_longer(
     table = ForwardedPortTable(OpenPorts("127.0.0.1"), carry, lambda: WAYS, limit=1)
     await table.open(ROBOT, "/master")
     await table.open(ROBOT._replace(name="/other"), "/master")
-    assert len(table) == 1
+    assert len(table.wanted) == 1
     await table.close()

@@ -10,24 +10,27 @@ import pytest
 
 from rossec.errors import ConfigurationError, LinkCrowded, StreamRefused
 from rossec.host.callers import Callers
+from rossec.master.state.forwarded_ports import PeerWay, Target
 from rossec.net.aio.client import dial
 from rossec.overlay import forwarded_ports as module
-from rossec.overlay.forwarded_ports import OpenPorts, PeerTarget, RelayPorts
-from rossec.overlay.mux import NODE, SERVICE, StreamTarget
+from rossec.overlay.forwarded_ports import ForwardedPortTable, OpenPorts
+from rossec.overlay.mux import NODE, SERVICE
 
-ROBOT = PeerTarget("hospital", StreamTarget(NODE, "/robot"))
-CLOCK = PeerTarget("hospital", StreamTarget(SERVICE, "/clock"))
-OTHER = PeerTarget("office", StreamTarget(NODE, "/robot"))
+ROBOT = Target("hospital", NODE, "/robot")
+CLOCK = Target("hospital", SERVICE, "/clock")
+MASTER = "/master"
+WAYS = dict.fromkeys(("hospital", "office"), PeerWay("idle", 0, 0, "", 0))
+OTHER = Target("office", NODE, "/robot")
 
 
 class Carrier:
     """Holds connections until the program ends them."""
 
     def __init__(self) -> None:
-        self.forwarded_ports: list[PeerTarget] = []
+        self.forwarded_ports: list[Target] = []
         self.error: StreamRefused | None = None
 
-    async def carry(self, forwarded_port: PeerTarget, sock: socket.socket) -> None:
+    async def carry(self, forwarded_port: Target, sock: socket.socket) -> None:
         self.forwarded_ports.append(forwarded_port)
         sock.setblocking(False)
         with sock:
@@ -41,13 +44,12 @@ class Carrier:
 @contextlib.asynccontextmanager
 async def forwarded_ports(
     carrier: Carrier, callers: Callers | OpenPorts | None = None, limit: int = 8
-) -> AsyncIterator[tuple[RelayPorts, list[PeerTarget]]]:
-    given_up: list[PeerTarget] = []
-    found = RelayPorts(callers or Callers({os.getuid()}), carrier.carry, given_up.append, limit)
+) -> AsyncIterator[ForwardedPortTable]:
+    found = ForwardedPortTable(callers or Callers({os.getuid()}), carrier.carry, lambda: WAYS, limit)
     try:
-        yield found, given_up
+        yield found
     finally:
-        await found.close_all()
+        await found.close()
 
 
 async def turned_away(where: tuple[str, int]) -> None:
@@ -66,12 +68,15 @@ async def enter(where: tuple[str, int]) -> socket.socket:
 
 async def test_each_target_has_a_forwarded_port_of_its_own() -> None:
     carrier = Carrier()
-    async with forwarded_ports(carrier) as (found, _):
-        places = {forwarded_port: found.open(forwarded_port) for forwarded_port in (ROBOT, CLOCK, OTHER)}
+    async with forwarded_ports(carrier) as found:
+        places = {
+            forwarded_port: await found.open(forwarded_port, MASTER)
+            for forwarded_port in (ROBOT, CLOCK, OTHER)
+        }
         assert len(set(places.values())) == 3
         assert {host for host, _ in places.values()} == {"127.0.0.1"}
-        assert found.open(ROBOT) == places[ROBOT]
-        assert set(found) == set(places)
+        assert await found.open(ROBOT, MASTER) == places[ROBOT]
+        assert set(found.wanted) == set(places)
         for forwarded_port, where in places.items():
             (await enter(where)).close()
             assert carrier.forwarded_ports[-1] == forwarded_port
@@ -79,8 +84,8 @@ async def test_each_target_has_a_forwarded_port_of_its_own() -> None:
 
 async def test_programs_of_other_users_are_not_let_in() -> None:
     carrier = Carrier()
-    async with forwarded_ports(carrier, Callers({os.getuid() + 1})) as (found, _):
-        sock = await dial(*found.open(ROBOT), 10)
+    async with forwarded_ports(carrier, Callers({os.getuid() + 1})) as found:
+        sock = await dial(*await found.open(ROBOT, MASTER), 10)
         with sock, contextlib.suppress(ConnectionResetError):
             assert await asyncio.get_running_loop().sock_recv(sock, 1) == b""
     assert carrier.forwarded_ports == []
@@ -88,8 +93,8 @@ async def test_programs_of_other_users_are_not_let_in() -> None:
 
 async def test_forwarded_ports_at_an_address_let_everybody_in() -> None:
     carrier = Carrier()
-    async with forwarded_ports(carrier, OpenPorts("127.0.0.5", "relay.example")) as (found, _):
-        host, port = found.open(ROBOT)
+    async with forwarded_ports(carrier, OpenPorts("127.0.0.5", "relay.example")) as found:
+        host, port = await found.open(ROBOT, MASTER)
         assert host == "relay.example"
         (await enter(("127.0.0.5", port))).close()
         with pytest.raises(ConnectionRefusedError):
@@ -99,44 +104,42 @@ async def test_forwarded_ports_at_an_address_let_everybody_in() -> None:
 
 async def test_a_closed_forwarded_port_lets_nobody_in_and_keeps_who_is_inside() -> None:
     carrier = Carrier()
-    async with forwarded_ports(carrier) as (found, given_up):
-        where = found.open(ROBOT)
+    async with forwarded_ports(carrier) as found:
+        where = await found.open(ROBOT, MASTER)
         inside = await enter(where)
-        found.close(ROBOT)
-        found.close(ROBOT)
-        assert list(found) == []
+        found.release(ROBOT, MASTER)
+        found.release(ROBOT, MASTER)
+        assert list(found.wanted) == []
         with pytest.raises(ConnectionRefusedError):
             await dial(*where, 10)
-        again = found.open(ROBOT)
+        again = await found.open(ROBOT, MASTER)
         assert again != where
         inside.close()
         (await enter(again)).close()
-        assert given_up == []
 
 
 async def test_a_removed_peer_loses_its_forwarded_ports_and_connections() -> None:
-    async with forwarded_ports(Carrier()) as (found, _):
-        inside = await enter(found.open(ROBOT))
-        found.open(CLOCK)
-        stays = await enter(found.open(OTHER))
-        found.close_peer("hospital")
-        assert list(found) == [OTHER]
+    async with forwarded_ports(Carrier()) as found:
+        inside = await enter(await found.open(ROBOT, MASTER))
+        await found.open(CLOCK, MASTER)
+        stays = await enter(await found.open(OTHER, MASTER))
+        found.drop_peer("hospital")
+        assert list(found.wanted) == [OTHER]
         with inside, stays, contextlib.suppress(ConnectionResetError):
             assert await asyncio.get_running_loop().sock_recv(inside, 1) == b""
 
 
 async def test_the_idle_forwarded_port_asked_for_least_recently_makes_room() -> None:
-    async with forwarded_ports(Carrier(), limit=2) as (found, given_up):
-        first = await enter(found.open(ROBOT))
-        where = found.open(CLOCK)
-        found.open(OTHER)
-        assert given_up == [CLOCK]
-        assert list(found) == [ROBOT, OTHER]
+    async with forwarded_ports(Carrier(), limit=2) as found:
+        first = await enter(await found.open(ROBOT, MASTER))
+        where = await found.open(CLOCK, MASTER)
+        await found.open(OTHER, MASTER)
+        assert list(found.wanted) == [ROBOT, OTHER]
         with pytest.raises(ConnectionRefusedError):
             await dial(*where, 10)
-        second = await enter(found.open(OTHER))
+        second = await enter(await found.open(OTHER, MASTER))
         with pytest.raises(ConfigurationError, match="more than 2 addresses") as caught:
-            found.open(CLOCK)
+            await found.open(CLOCK, MASTER)
         assert "relay" in caught.value.hint
         first.close()
         second.close()
@@ -145,9 +148,9 @@ async def test_the_idle_forwarded_port_asked_for_least_recently_makes_room() -> 
 async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
     carrier.error = StreamRefused("no link to it", "rossec relay status")
-    async with forwarded_ports(carrier) as (found, _):
+    async with forwarded_ports(carrier) as found:
         for forwarded_port in (ROBOT, CLOCK):
-            await turned_away(found.open(forwarded_port))
+            await turned_away(await found.open(forwarded_port, MASTER))
     assert caplog.messages == [
         "node /robot: not connected to hospital: no link to it (rossec relay status)",
         "service /clock: not connected to hospital: no link to it (rossec relay status)",
@@ -156,10 +159,10 @@ async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogC
 
 async def test_all_that_find_no_room_are_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
-    async with forwarded_ports(carrier) as (found, _):
-        for forwarded_port in (ROBOT, CLOCK, ROBOT):
-            carrier.error = LinkCrowded(f"no room for {forwarded_port.target}", "have fewer")
-            await turned_away(found.open(forwarded_port))
+    async with forwarded_ports(carrier) as found:
+        for each in (ROBOT, CLOCK, ROBOT):
+            carrier.error = LinkCrowded(f"no room for {each.kind} {each.name}", "have fewer")
+            await turned_away(await found.open(each, MASTER))
     assert caplog.messages == [
         "a connection: not connected to hospital: no room for node /robot (have fewer)"
     ]

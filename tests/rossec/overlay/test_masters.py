@@ -7,7 +7,6 @@ import pytest
 
 from ca.errors import HintedError
 from rossec.master.state.forwarded_ports import PeerWay, Target
-from rossec.overlay import forwarded_ports
 from rossec.overlay.forwarded_ports import ForwardedPortTable, OpenPorts
 from rossec.overlay.masters import OwnMasters, RelayMember
 from tests.support.masters import Master, masters
@@ -18,7 +17,7 @@ KITCHEN = "/master/kitchen"
 WAYS = {"office": PeerWay("idle", 0, 0, "", 0)}
 
 
-async def carry(_: forwarded_ports.PeerTarget, sock: object) -> None:
+async def carry(_: Target, sock: object) -> None:
     raise AssertionError("no forwarded port is used here")
 
 
