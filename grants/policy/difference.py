@@ -4,8 +4,7 @@ A grant that says exactly what the policy says is kept, byte for byte, whoever a
 hand are left alone; what they give against a denial is a contradiction.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from collections.abc import Set as AbstractSet
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf
@@ -16,7 +15,7 @@ from grants.model import KEEP_WHEN_STALE, Grant, Permission, Restriction, Right
 from grants.policy.decision import Verdict, validity
 from grants.policy.model import Effect, PolicyRule, Subject
 from grants.policy.restrictions import divide, why_unsignable
-from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
+from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld, rule_ids
 
 
 class ChangeKind(StrEnum):
@@ -66,15 +65,10 @@ def change_of(
     was = () if old == new else (*_lines(before.entries), _validity(before.lifetime, before.longest))
     # Wider and narrower is what is certain: one set of restrictions includes the other, no rate or time is
     # higher.
-    match old.allows(new), new.allows(old):
-        case True, False:
-            kind = ChangeKind.NARROWER
-        case False, True:
-            kind = ChangeKind.WIDER
-        case True, True:
-            kind = ChangeKind.KEPT
-        case _:
-            kind = ChangeKind.CHANGED
+    if old.allows(new):
+        kind = ChangeKind.KEPT if new.allows(old) else ChangeKind.NARROWER
+    else:
+        kind = ChangeKind.WIDER if new.allows(old) else ChangeKind.CHANGED
     return Change(kind, subject, *wanted.atom, _text(wanted), wanted.rules, was)
 
 
@@ -213,9 +207,8 @@ def difference(
 ) -> NodeDifference:
     """Compare what the policy wants for `subject` with its grants.
 
-    Args:
-        recorded: of the key of `subject`, not revoked, and not past their caps.
-        gets: whether it may get grants; a node without a valid identity only loses some.
+    `recorded`: of the key of `subject`, not revoked, and not past their caps. A node without a valid identity
+    `gets` nothing, and only loses some.
     """
     wanted = state.of(subject) if gets else Wanted()
     grants = list(recorded)
@@ -331,13 +324,13 @@ def _due(ending: Iterable[Grant], moment: Moment) -> list[Grant]:
 
 
 def _drop_unsignable(
-    subject: Subject, rights: dict[Atom, WantedRight], satisfied: AbstractSet[Atom]
+    subject: Subject, rights: dict[Atom, WantedRight], satisfied: Collection[Atom]
 ) -> Iterator[str]:
     # Take out of `rights` what is to be signed and cannot be; yields why, for each.
     for atom, each in [*rights.items()]:
         if atom not in satisfied and (reason := why_unsignable(each.permissions)):
             del rights[atom]
-            what = f"{each.right.label} {each.pattern} (rules {each.rule_ids})"
+            what = f"{each.right.label} {each.pattern} (rules {rule_ids(each.rules)})"
             yield f"{subject.name}: {what}: {reason}"
 
 
@@ -345,7 +338,7 @@ def _groups(rights: Iterable[WantedRight], *, by_rules: bool = True) -> list[tup
     # Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
     groups: dict[tuple[str, int, int, bool], list[WantedRight]] = {}
     for each in rights:
-        rules, tail = each.rule_ids if by_rules else "", tail_base(each.pattern) is not None
+        rules, tail = rule_ids(each.rules) if by_rules else "", tail_base(each.pattern) is not None
         groups.setdefault((rules, each.lifetime, each.renew_until, tail), []).append(each)
     return [part for group in groups.values() for part in divide(group, lambda right: right.permissions)]
 

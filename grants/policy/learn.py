@@ -255,11 +255,7 @@ def log_line(at: int, node: str, right: Right, name: str, type_name: str = "") -
 def learn(
     text: str, decider: Decider, observed: Sequence[Observation], day: str
 ) -> tuple[str, list[NewRule]]:
-    """`text`, the policy of `decider`, with rules for what it does not decide yet; and these rules.
-
-    Args:
-        day: the date of observation, for the reason.
-    """
+    """`text`, the policy of `decider`, with rules for what it does not decide yet; and these rules."""
     lasting = dict.fromkeys(each for item in observed if (each := learnable(item)) is not None)
     # What a rule already decides is not learned again, in particular no denial.
     new = [item for item in lasting if not _decided(decider, item)]

@@ -15,6 +15,7 @@ from typing import Final
 from grants.errors import GrantError
 from grants.filters.compile import compile_filter, preset
 from grants.model import FilterRule, Scalar
+from grants.policy.assertions import below
 from grants.policy.lint_views import Aspect, View
 from grants.policy.privacy import leaf_paths
 
@@ -91,15 +92,9 @@ def _wholes(view: View, open_fields: Sequence[str]) -> Iterable[list[str]]:
     for steps in range(1, depth + 1):
         begins = (".".join(path.split(".")[:steps]).removesuffix("[*]") for path in open_fields)
         paths = list(dict.fromkeys(begins))
-        inside = [leaf for leaf in leaves if any(_is_below(leaf, path) for path in paths)]
-        if all(leaf in open_fields for leaf in inside):
+        if all(leaf in open_fields for path in paths for leaf in below(leaves, path)):
             yield paths
     yield list(open_fields)
-
-
-def _is_below(leaf: str, path: str) -> bool:
-    bare, above = leaf.replace("[*]", ""), path.replace("[*]", "")
-    return bare == above or bare.startswith(f"{above}.")
 
 
 def _closed(view: View, path: str) -> FilterRule:

@@ -168,10 +168,7 @@ def presence(scene: Scene) -> Iterator[LintFinding]:
 
 
 def services(scene: Scene) -> Iterator[LintFinding]:
-    for receiver, views in scene.views.items():
-        coarse = _first_treated(views, Aspect.POSITION)
-        if coarse is None:
-            continue
+    for receiver, _, coarse in _coarse(scene, Aspect.POSITION):
         named = {
             found.pattern
             for rule in scene.decider.rules_of(receiver.subject)
@@ -218,17 +215,13 @@ _SHOWN_BY: Final[dict[Aspect, tuple[Aspect, ...]]] = {
 def relatives(scene: Scene) -> Iterator[LintFinding]:
     for views in scene.views.values():
         for aspect, others in _SHOWN_BY.items():
-            coarse = _first_treated(views, aspect)
-            if coarse is not None:
+            if (coarse := _first_treated(views, aspect)) is not None:
                 yield from _exact(coarse, views, aspect, others)
 
 
 def saved_poses(scene: Scene) -> Iterator[LintFinding]:
     """The parameter in which localisation saves where the robot is, twice a second."""
-    for receiver, views in scene.views.items():
-        coarse = _first_treated(views, Aspect.POSITION)
-        if coarse is None:
-            continue
+    for receiver, _, coarse in _coarse(scene, Aspect.POSITION):
         verdict = scene.decider.decide(receiver.subject, Right.PARAM_GET, SAVED_POSE)
         if verdict:
             message = f"{_begin(coarse)}, but may read {SAVED_POSE}, where amcl saves the position"
@@ -237,12 +230,11 @@ def saved_poses(scene: Scene) -> Iterator[LintFinding]:
 
 
 def unknown(scene: Scene) -> Iterator[LintFinding]:
-    for views in scene.views.values():
-        coarse = _first_treated(views, Aspect.POSITION, Aspect.IMAGE)
+    for _, views, coarse in _coarse(scene, Aspect.POSITION, Aspect.IMAGE):
         told = {view.pattern for view in views if view.is_below_pattern}
-        for view in views if coarse is not None else ():
+        for view in views:
             is_own = view.topic.startswith(f"{view.receiver.subject.name}/")
-            if coarse is None or view.is_known or is_own or view.topic in told:
+            if view.is_known or is_own or view.topic in told:
                 continue
             if view.layout is None:
                 what = "of which no type is given"
@@ -259,6 +251,13 @@ def unknown(scene: Scene) -> Iterator[LintFinding]:
 
 def _first_treated(views: Iterable[View], *aspects: Aspect) -> View | None:
     return next((view for view in views if view.treated(*aspects)), None)
+
+
+def _coarse(scene: Scene, *aspects: Aspect) -> Iterator[tuple[LintReceiver, list[View], View]]:
+    # The receivers to whom a treated topic is to hide one of `aspects`, and the first such topic.
+    for receiver, views in scene.views.items():
+        if (coarse := _first_treated(views, *aspects)) is not None:
+            yield receiver, views, coarse
 
 
 def _exact(
@@ -389,11 +388,9 @@ def _shared(one: View, other: View, rule: FilterRule) -> LintFinding:
 
 
 def wheels(scene: Scene) -> Iterator[LintFinding]:
-    for views in scene.views.values():
-        coarse = _first_treated(views, Aspect.POSITION)
-        for view in views if coarse is not None else ():
-            found = view.coarse(Aspect.JOINT)
-            if coarse is not None and found:
+    for _, views, coarse in _coarse(scene, Aspect.POSITION):
+        for view in views:
+            if found := view.coarse(Aspect.JOINT):
                 message = f"{_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"
                 old = view.filter_on(found[0])
                 hint, suggestions = replacing(view, old, FilterRule(old.path, "clear"))

@@ -50,21 +50,13 @@ _MAX_MARKS: Final = 2  # combining ones in a row: more of them cover the lines a
 _MARKS: Final = (["Mn"], ["Me"], ["Mc"])
 _HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
-Definition = Callable[[str], str]
+Definition = Callable[[str], str]  # from the name of a message type to its text
 
 
 def load(
     text: str, definition: Definition, *, file: str = "policy.yaml", known_types: Collection[str] = ()
 ) -> Policy:
-    """Read a policy.
-
-    Args:
-        text: of the file.
-        definition: the definition text of a message type by name; raises a `HintedError` if it
-            is unknown.
-        file: its name, for mistakes.
-        known_types: names to suggest for a misspelt type.
-    """
+    """Read a policy from the text of its `file`; `definition` raises a `HintedError` for an unknown type."""
     mistakes = Mistakes(file)
     top = read_source(text, mistakes)
     policy = _PolicyReader(mistakes, definition, known_types).read(top)

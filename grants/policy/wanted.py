@@ -141,10 +141,6 @@ class WantedRight:
     def atom(self) -> Atom:
         return self.right, self.pattern
 
-    @property
-    def rule_ids(self) -> str:
-        return rule_ids(self.rules)
-
 
 class Withheld(NamedTuple):
     """A right that `rule` has, and that `by` keeps from being granted outright.
@@ -249,11 +245,16 @@ def in_force(
         and grant.not_before <= now < grant.expires
         and grant.holder not in revoked
         and not any(entry in revoked for entry in grant.revocable)
-        and all(
-            any(right in each.rights and overlaps(each.pattern, right, name) for each in link.permissions)
-            for link in grant.links
-        )
+        and _each_link(grant, right, name, overlaps)
     ]
+
+
+def _each_link(grant: Grant, right: Right, name: str, fits: Callable[[str, Right, str], bool]) -> bool:
+    # A narrowed grant gives what all links of its chain give.
+    return all(
+        any(right in each.rights and fits(each.pattern, right, name) for each in link.permissions)
+        for link in grant.links
+    )
 
 
 def in_force_lines(found: Iterable[Grant], verdict: Verdict) -> list[str]:
@@ -280,13 +281,7 @@ def held_lines(found: Iterable[Grant], right: Right, name: str) -> list[str]:
 
 def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
     """Whether one of these grants gives all of `name`, a name or a pattern."""
-    return any(
-        all(
-            any(right in each.rights and gives(each.pattern, right, name) for each in link.permissions)
-            for link in grant.links
-        )
-        for grant in found
-    )
+    return any(_each_link(grant, right, name, gives) for grant in found)
 
 
 _BASICS: Final = "allow what every ROS program needs: its log, its loggers, the clock (rule basics)"

@@ -29,7 +29,7 @@ def test_each_allowed_clause_is_wanted_once() -> None:
     assert named(wanted.rights) == ["subscribe /b", "subscribe /c", "publish /b"]
     assert wanted.withheld == ()
     shared = wanted.rights[1]
-    assert shared.rule_ids == "a b"
+    assert rule_ids(shared.rules) == "a b"
     assert (shared.lifetime, shared.renew_until) == (2 * DAY, 0)  # the shortest of both
     assert shared.permissions == (Permission("/c", Right.SUBSCRIBE),)
     assert named(state(policy).of(Y).rights) == ["subscribe /c"]
