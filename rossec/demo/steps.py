@@ -14,10 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from rossec import clock
+from rossec import clock, files
 from rossec.demo.environment import DemoEnvironment, DemoFailed, DemoProcess, Report
 from rossec.demo.robot import CAMERA, FRAME, POSE, SCAN
-from rossec.files import create
 from rossec.home import NodeHome
 
 COARSE: Final = 2.0
@@ -76,7 +75,7 @@ async def run_steps(demo: DemoEnvironment) -> None:
 
 
 async def found_authority(demo: DemoEnvironment) -> None:
-    create(demo.root / "passphrase", secrets.token_urlsafe(18).encode())
+    files.create(demo.root / "passphrase", secrets.token_urlsafe(18).encode())
     await demo.command("ca", "init", "home", *passphrase(demo))
 
 
@@ -171,7 +170,7 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
     # An authority of the same name, made by somebody else: only its key tells it from the home's.
     other = DemoEnvironment(demo.root / "intruder", demo.printer, {}, demo.run)
     other.root.mkdir(mode=0o700)
-    create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
+    files.create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
     quiet = {"quiet": True}
     await other.command("ca", "init", "home", *passphrase(other), **quiet)
     await other.command("node", "request", "/doctor", "--domain", "home", **quiet)
@@ -357,7 +356,7 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
 
 
 async def ask(demo: DemoEnvironment) -> None:
-    create(demo.root / "ca" / "policy.yaml", POLICY.encode())
+    files.create(demo.root / "ca" / "policy.yaml", POLICY.encode())
     await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
     request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
     await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)

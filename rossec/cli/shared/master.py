@@ -29,7 +29,6 @@ from rossec.host.addresses import warn_of_own_address
 from rossec.net.rpc import RpcClient
 from rossec.participant.renewals import MasterCall
 from rossec.ros import names
-from rossec.ros.names import PRESENT_GRANTS
 from rossec.saved_statements import DomainFiles
 from rossec.terminal import note
 
@@ -119,7 +118,7 @@ async def calls_as(
         async def call(method: str, *parameters: object) -> object:
             return await client.ask(method, home.name, *parameters)
 
-        await call(PRESENT_GRANTS, home.grants())
+        await call(names.PRESENT_GRANTS, home.grants())
         yield call
 
 
