@@ -345,6 +345,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
     store = home.store()
     kept = [files.read(path, _MAX_HEAD) for path in heads]
     with options.working("recomputing the log", quiet=in_json):
+        # Who owns the file can rewrite all of it, but not a head kept elsewhere (attack `rewritten-record`).
         newest = store.log.audit(home.own_key(), *kept)
     size = store.log.head(now()).size
     if in_json:

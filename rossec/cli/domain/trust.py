@@ -142,7 +142,8 @@ def accept(
     that are admitted may then connect and say who they are; what they may do is up to grants. By
     default the names are admitted that the bundle asks for. Accepting it again changes the terms.
     """
-    # 1. The bundle is the one that was meant, as far as that can be checked here.
+    # 1. The bundle is the one that was meant, as far as that can be checked here. It is signed by the root in
+    # it, so by anybody: only the code or fingerprint of the other screen decides (attack `foreign-bundle`).
     home, data = service.home, files.read(bundle, MAX_TRUST_BUNDLE)
     if image is not None:
         code = code_in_file(image, sys.stdin.buffer)
@@ -172,6 +173,7 @@ def accept(
             "accept the bundle that the other authority wrote",
         )
     for row in home.store().domains.accepted():
+        # A domain is its root key: another one must not inherit its grants (attack `taken-label`).
         check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
     # 3. A person compares.
     _show(home, domain, found, is_checked=code is not None or expected is not None)

@@ -417,9 +417,8 @@ def _where(home: NodeHome, data: bytes) -> str:
 def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
     """How far this host's clock is off, by a timestamp of the second in which it was signed.
 
-    Args:
-        issued: the master's time, in whole seconds, when it answered.
-        begun, ended: this host's time before the question and after the answer.
+    `issued` is the master's time, in whole seconds, when it answered; `begun` and `ended` are this
+    host's before the question and after the answer.
     """
     behind, ahead = issued - ended, begun - (issued + 1)
     off = max(behind, ahead)

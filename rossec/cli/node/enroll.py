@@ -373,6 +373,7 @@ def _name(code: invitation.InvitationCode, given: str | None) -> str:
 def _is_enrolled(home: NodeHome, code: invitation.InvitationCode) -> bool:
     if not (home.path / "ca.pem").exists():
         return False
+    # Another root would be another authority: nothing here is replaced by a code (attack `join-impostor`).
     if sha256(home.anchor().certificate).digest() != code.root:
         raise ConfigurationError(
             f"{home.name} trusts another authority already",

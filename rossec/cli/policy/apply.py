@@ -260,6 +260,7 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
     policy = read_policy(service.rossec_home, policy_path)
     opted_out = service.policy.opt_out(policy, name, is_node=is_node)
     record(rule=opted_out.rule, file=str(opted_out.policy.path))
+    # One anonymous node of several is its identity: the others would go on (attack `opt-out`).
     if opted_out.name != name:
         say(f"{name} is one of the anonymous nodes of {opted_out.name}, which are one identity:")
         say("all of them are opted out")

@@ -1,6 +1,6 @@
 """`rossec policy check | lint | init | import-sros2 | test`, and what a policy changes in grants."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -91,12 +91,16 @@ def check(environment: Environment, file: Path | None, as_json: bool) -> None:
     if failures:
         found = (Mistake(x.line, 1, x.failure, x.needed, str(path)) for x in failures)
         _print_mistakes(tuple(found), as_json=as_json)
-        message = f"{len(failures)} of {len(outcomes)} assertions of {path} do not hold"
-        raise PolicyRefused(message, "correct the rules, or what the tests say")
+        raise _not_held(failures, len(outcomes), path)
     basics = any(map(is_basics, read.policy.rules))
     rules = [f"rules: {len(read.policy.rules) - basics}", *(["basics"] if basics else [])]
     tests = [f"tests that hold: {len(read.policy.tests)}"] if read.policy.tests else []
     options.say_result(as_json, [], [f"{path} is right; {', '.join([*rules, *tests])}"])
+
+
+def _not_held(failures: Sequence[CheckOutcome], total: int, path: Path) -> PolicyRefused:
+    message = f"{len(failures)} of {total} assertions of {path} do not hold"
+    return PolicyRefused(message, "correct the rules, or what the tests say")
 
 
 def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
@@ -205,10 +209,7 @@ def test(environment: Environment, file: Path | None, as_json: bool) -> None:
     for each in failures if not as_json else ():
         fail(f"{path}:{each.line}: {each.failure}", each.needed)
     if failures:
-        raise PolicyRefused(
-            f"{len(failures)} of {len(outcomes)} assertions of {path} do not hold",
-            "correct the rules, or what the tests say",
-        )
+        raise _not_held(failures, len(outcomes), path)
     if not as_json:
         say(f"assertions that hold: {len(outcomes)}" if outcomes else f"{path} has no tests")
 

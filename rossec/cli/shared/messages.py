@@ -146,15 +146,12 @@ def quoted(text: str) -> str:
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     for character, name in (("\n", "\\n"), ("\t", "\\t"), ("\r", "\\r")):
         escaped = escaped.replace(character, name)
+    # A peer wrote it: it must not forge a line or steer the terminal (attack `terminal-output`).
     return f'"{printable(escaped)}"'
 
 
 def fill(message: message_types.Message, content: object, now: int = 0) -> None:
-    """Set the fields of `message` that `content` names, nested ones too.
-
-    Args:
-        now: nanoseconds since the epoch, which `now` and `auto` stand for.
-    """
+    """Set the fields that `content` names, nested ones too; `now` and `auto` are `now`, in nanoseconds."""
     _Filling(now).message("", message, content)
 
 
