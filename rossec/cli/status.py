@@ -212,7 +212,7 @@ def _relay_lines(answer: Answer) -> list[str]:
     router = answer["router"] or "no router is in reach"
     head = f"{answer['relay']} of {answer['domain']}, account {answer['account']} at {router}"
     lines = [f"{head}, {answer['forwarded_ports']} forwarded ports"]
-    lines += [f"{name}: {why or 'polled for forwarded_ports'}" for name, why in answer["masters"].items()]
+    lines += [f"{name}: {why or 'polled for forwarded ports'}" for name, why in answer["masters"].items()]
     for peer in answer["peers"]:
         speed = f"  {peer['rtt_ms']} ms, {peer['retransmissions']} retransmissions" if peer["rtt_ms"] else ""
         called = f", {peer['called']} links from it" if peer["called"] else ""
