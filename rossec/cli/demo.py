@@ -19,6 +19,7 @@ from rossec.console.listening import listen
 from rossec.console.options import PORT, ConsoleOptions, read_options
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
+from rossec.demo.steps import FRIDGE, begin_story, show_code
 from rossec.errors import ConfigurationError
 from rossec.host.runner import stop_on_signals, until_first_ends
 from rossec.terminal import say, say_block, say_picture
@@ -94,17 +95,17 @@ def show_console_demo(called: click.Context, options: ConsoleOptions) -> None:
 
 
 async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment]) -> None:
-    link = await steps.begin_story(demo, port)
-    waiting = await steps.show_code(demo)
+    link = await begin_story(demo, port)
+    waiting = await show_code(demo)
     others.append(waiting.environment)
     say_block(f"\nopen this in a browser of this computer, within 2 minutes:\n\n    {link}\n")
     say(f"a new code: ROSSEC_HOME={demo.root} rossec console phone")
-    say(f"a question waits there; and {steps.FRIDGE} to be added, by this code, within 5 minutes:")
+    say(f"a question waits there; and {FRIDGE} to be added, by this code, within 5 minutes:")
     say_picture(qr.terminal(waiting.code))
     say(waiting.code)
     home = f"ROSSEC_HOME={waiting.environment.root}"
-    say(f"when both show the same digits: {home} rossec node confirm {steps.FRIDGE}")
-    say(f"a new code of it: {home} rossec node enroll {steps.FRIDGE} --address 127.0.0.1")
+    say(f"when both show the same digits: {home} rossec node confirm {FRIDGE}")
+    say(f"a new code of it: {home} rossec node enroll {FRIDGE} --address 127.0.0.1")
     say("Ctrl-C ends everything and leaves nothing")
     await demo.until_one_ends()
 
