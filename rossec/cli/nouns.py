@@ -7,7 +7,6 @@ import click
 
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, LazyGroup
-from rossec.cli.shared.options import PATH, flag, option
 
 _CA: Final = {
     "approve": ("ca.enroll:approve", "request"),
@@ -131,8 +130,8 @@ def intermediate() -> None:
 
 
 @click.group(cls=LazyGroup, table=_LOG, invoke_without_command=True)
-@option("--last", "only the newest so many entries", type=click.IntRange(1))
-@flag("--json in_json", "one line of JSON")
+@options.option("--last", "only the newest so many entries", type=click.IntRange(1))
+@options.flag("--json in_json", "one line of JSON")
 @click.pass_context
 def log(context: click.Context, last: int | None, in_json: bool) -> None:
     """Show everything the authority did, oldest first."""
@@ -144,8 +143,8 @@ def log(context: click.Context, last: int | None, in_json: bool) -> None:
 
 
 @click.group(cls=LazyGroup, table=_INVITATIONS, invoke_without_command=True)
-@flag("--all everything", "also those that have ended")
-@flag("--json in_json", "one line of JSON")
+@options.flag("--all everything", "also those that have ended")
+@options.flag("--json in_json", "one line of JSON")
 @click.pass_context
 def invitations(context: click.Context, everything: bool, in_json: bool) -> None:
     """Show the invitations that can be used, and who joined by them."""
@@ -172,10 +171,10 @@ def policy() -> None:
 
 
 @click.group(cls=LazyGroup, table=_PRIVACY, invoke_without_command=True)
-@option("--node", "only what this node sees")
-@option("--field", "only fields with this in their path")
-@flag("--held", "what is granted now, instead of what the policy allows")
-@option("--html", "write a page to this file", type=PATH)
+@options.option("--node", "only what this node sees")
+@options.option("--field", "only fields with this in their path")
+@options.flag("--held", "what is granted now, instead of what the policy allows")
+@options.option("--html", "write a page to this file", type=options.PATH)
 @options.as_json
 @options.policy
 @click.pass_context

@@ -10,7 +10,6 @@ from ca.names import display_name
 from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import flag, json_result
 from rossec.environment import missing_node, own_gateway, own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -18,13 +17,13 @@ from rossec.master.operation import send_command
 from rossec.terminal import note, printable, say, say_json
 
 PERIOD: Final = 1.0  # seconds between two questions
-watch = flag("--watch", "show it again whenever it changes, until Ctrl-C")
+watch = options.flag("--watch", "show it again whenever it changes, until Ctrl-C")
 Answer = dict[str, Any]
 ADMIN_SOCKET: Final = "admin.sock"
 
 
 @click.command()
-@flag("--json as_json", "a line of JSON")
+@options.flag("--json as_json", "a line of JSON")
 @pass_environment
 def master_status(environment: Environment, as_json: bool) -> None:
     """Show the status of the running master; it must have been started with --admin."""
@@ -45,7 +44,7 @@ def _home(environment: Environment) -> NodeHome:
 
 
 @click.command()
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def stop_master(environment: Environment) -> None:
     """Stop the running master in order; it must have been started with --admin."""
     send_command(_home(environment).path / ADMIN_SOCKET, "stop")
@@ -53,7 +52,7 @@ def stop_master(environment: Environment) -> None:
 
 
 @click.command()
-@flag("--json as_json", "a line of JSON")
+@options.flag("--json as_json", "a line of JSON")
 @watch
 @pass_environment
 def federation_status(environment: Environment, *, as_json: bool, watch: bool) -> None:
@@ -213,7 +212,7 @@ def _relay_lines(answer: Answer) -> list[str]:
     router = answer["router"] or "no router is in reach"
     head = f"{answer['relay']} of {answer['domain']}, account {answer['account']} at {router}"
     lines = [f"{head}, {answer['forwarded_ports']} forwarded ports"]
-    lines += [f"{name}: {why or 'polled for forwarded_ports'}" for name, why in answer["masters"].items()]
+    lines += [f"{name}: {why or 'polled for forwarded ports'}" for name, why in answer["masters"].items()]
     for peer in answer["peers"]:
         speed = f"  {peer['rtt_ms']} ms, {peer['retransmissions']} retransmissions" if peer["rtt_ms"] else ""
         called = f", {peer['called']} links from it" if peer["called"] else ""

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rossec.node.node import Node
-from rossec.node.publisher import Publisher
+from rossec.node import Node, Publisher
 from rossec.terminal import say_json
 
 NAME = "/robot"

@@ -14,10 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from rossec import clock
+from rossec import clock, files
 from rossec.demo.environment import DemoEnvironment, DemoFailed, DemoProcess, Report
 from rossec.demo.robot import CAMERA, FRAME, POSE, SCAN
-from rossec.files import create
 from rossec.home import NodeHome
 
 COARSE: Final = 2.0
@@ -75,9 +74,9 @@ async def run_steps(demo: DemoEnvironment) -> None:
         raise DemoFailed("the robot ended before the demo")
 
 
-async def found_authority(demo: DemoEnvironment) -> None:
-    create(demo.root / "passphrase", secrets.token_urlsafe(18).encode())
-    await demo.command("ca", "init", "home", *passphrase(demo))
+async def found_authority(demo: DemoEnvironment, *, quiet: bool = False) -> None:
+    files.create(demo.root / "passphrase", secrets.token_urlsafe(18).encode())
+    await demo.command("ca", "init", "home", *passphrase(demo), quiet=quiet)
 
 
 def passphrase(demo: DemoEnvironment) -> tuple[str, str]:
@@ -116,17 +115,22 @@ async def sign_grants(demo: DemoEnvironment) -> str:
     return output.split()[1]
 
 
-async def start(demo: DemoEnvironment) -> tuple[DemoProcess, DemoProcess, DemoProcess, int]:
+async def start_master(demo: DemoEnvironment) -> str:
     master = await demo.start("rossec", "master", "--port", "0", "--json", name="master")
     ready = await master.expect("starting", lambda report: "ready" in report)
     demo.set("ROS_MASTER_URI", ready["ready"])
+    return str(ready["ready"])
+
+
+async def start(demo: DemoEnvironment) -> tuple[DemoProcess, DemoProcess, DemoProcess, int]:
+    uri = await start_master(demo)
     robot = await demo.start("rossec.demo.robot", name="robot")
     listening = await robot.expect("starting", lambda report: "tcpros" in report)
     everything = ["=".join(item) for item in (POSE, SCAN, CAMERA)]
     subscriber = "rossec.demo.subscriber"
     doctor = await demo.start(subscriber, "/doctor", *everything, name="doctor")
     heating = await demo.start(subscriber, "/heating", "=".join(POSE), name="heating")
-    demo.printer.print(f"master at {ready['ready']}, robot at {listening['ready']}")
+    demo.printer.print(f"master at {uri}, robot at {listening['ready']}")
     for topic, _ in (POSE, SCAN, CAMERA):
         await doctor.expect(f"{topic} arriving", on_topic(topic))
     await heating.expect(f"{POSE[0]} arriving", on_topic(POSE[0]))
@@ -171,14 +175,11 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
     # An authority of the same name, made by somebody else: only its key tells it from the home's.
     other = DemoEnvironment(demo.root / "intruder", demo.printer, {}, demo.run)
     other.root.mkdir(mode=0o700)
-    create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
-    quiet = {"quiet": True}
-    await other.command("ca", "init", "home", *passphrase(other), **quiet)
-    await other.command("node", "request", "/doctor", "--domain", "home", **quiet)
-    await other.command(
-        "ca", "sign", str(directory(other, "/doctor") / "node.csr"), "--yes", *passphrase(other), **quiet
-    )
-    await other.command("node", "install", str(directory(other, "/doctor") / "node.pem"), "--yes", **quiet)
+    await found_authority(other, quiet=True)
+    doctor = directory(other, "/doctor")
+    await other.command("node", "request", "/doctor", "--domain", "home", quiet=True)
+    await other.command("ca", "sign", str(doctor / "node.csr"), "--yes", *passphrase(other), quiet=True)
+    await other.command("node", "install", str(doctor / "node.pem"), "--yes", quiet=True)
     try:
         intruder = await other.start("rossec.demo.intruder", "/doctor", str(port), name="intruder")
         answer = await intruder.expect("an answer", bool)
@@ -251,9 +252,7 @@ async def sign_border_grants(demo: DemoEnvironment) -> None:
 
 
 async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess, DemoProcess, DemoProcess]:
-    master = await demo.start("rossec", "master", "--port", "0", "--json", name="master")
-    ready = await master.expect("starting", lambda report: "ready" in report)
-    demo.set("ROS_MASTER_URI", ready["ready"])
+    uri = await start_master(demo)
     border = await demo.start("rossec", "border", "--listen", "::1", "--port", "0", "--json", name="border")
     listening = await border.expect("starting", lambda report: "ready" in report)
     topic = "=".join(TEMPERATURE)
@@ -263,7 +262,7 @@ async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess
     host = f"[::1]:{listening['ready'][1]}"
     lamp = await demo.start(_THING, str(things), "lamp", host, "border.ccs", str(_EVERY), name="lamp")
     await lamp.expect("registering", _said("registered"))
-    demo.printer.print(f"master at {ready['ready']}, border router at coap://{host}")
+    demo.printer.print(f"master at {uri}, border router at coap://{host}")
     for receiver in (doctor, heating):
         await receiver.expect("a temperature", on_topic(TEMPERATURE[0]))
     return lamp, doctor, heating
@@ -357,7 +356,7 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
 
 
 async def ask(demo: DemoEnvironment) -> None:
-    create(demo.root / "ca" / "policy.yaml", POLICY.encode())
+    files.create(demo.root / "ca" / "policy.yaml", POLICY.encode())
     await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
     request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
     await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)

@@ -8,8 +8,7 @@ import sys
 import time
 from typing import Any
 
-from rossec.node.node import Node
-from rossec.node.subscriber import Subscriber
+from rossec.node import Node, Subscriber
 from rossec.terminal import say_json
 
 

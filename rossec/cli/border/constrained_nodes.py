@@ -6,7 +6,6 @@ from typing import Final
 import click
 
 from ca.enrollment import qr
-from ca.enrollment.qr import Label, sheet
 from ca.errors import ThingRefused
 from ca.svid import check_request
 from ca.things import (
@@ -162,8 +161,8 @@ def labels(credentials: tuple[Path, ...], out: Path) -> None:
         except ThingRefused:
             found = read_ccs(data)
         name = (found.subject if isinstance(found, ThingKey) else "") or path.stem
-        made.append(Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data)))
-    files.replace(out, sheet(made).encode(), 0o644)
+        made.append(qr.Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data)))
+    files.replace(out, qr.sheet(made).encode(), 0o644)
     record(names=[each.name for each in made], file=str(out))
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")
 

@@ -18,13 +18,12 @@ from ca.store.values import OPEN, RequestRow, RequestState
 from ca.svid import MAX_REQUEST
 from grants.policy.model import Subject
 from grants.policy.wanted import projected_grants
-from rossec import files
+from rossec import clock, files
 from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.policyfile import place
 from rossec.authority.service import AuthorityService
 from rossec.cli.ca import sign
 from rossec.cli.ca.invite import policy_lines
-from rossec.cli.ca.sign import read_request, warn_of_wildcard, write_identity
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
@@ -35,7 +34,6 @@ from rossec.cli.shared.service import (
     remind_to_publish,
     service_of,
 )
-from rossec.clock import format_time
 from rossec.enrollment import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
@@ -62,7 +60,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
 def _lines(row: RequestRow) -> list[str]:
     return [
         f"{row.digest.hex()[:8]}  {row.state}  {row.name}  {printable(row.source)}",
-        f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}",
+        f"  fingerprint {format_fingerprint(row.thumbprint)}  until {clock.format_time(row.expires)}",
     ]
 
 
@@ -130,16 +128,16 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
     say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
     say(f"  from {printable(row.source)}")
     if wildcard:
-        warn_of_wildcard(row.name)
+        sign.warn_of_wildcard(row.name)
     # A name whose key changes is what an impostor would look like: it is said before all else.
     known = home.store().identities.valid(row.name, now())
-    until = format_time(known[-1].not_after) if known else ""
+    until = clock.format_time(known[-1].not_after) if known else ""
     if any(each.thumbprint != row.thumbprint for each in known):
         say(f"  WARNING: {row.name} is enrolled with ANOTHER KEY until {until}")
     elif known:
         say(f"  {row.name} is enrolled with this key until {until}")
     elif row.state is not RequestState.PENDING:
-        say(f"  the request was {row.state} {format_time(row.changed)}")
+        say(f"  the request was {row.state} {clock.format_time(row.changed)}")
     else:
         say(f"  {row.name} is new here")
     subject = Subject(row.name, row.thumbprint, wildcard)
@@ -209,7 +207,7 @@ def enroll(
     # 2. The request that the code is of.
     core = AuthorityEnrollment(found, domain, wildcard=anonymous)
     if csr_file is not None:
-        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
+        core.receive(write(Delivery(sign.read_request(csr_file, MAX_REQUEST))), now())
     else:
         assert destination is not None  # noqa: S101 - a code without an address was refused
         asyncio.run(fetch(core, *destination, now))
@@ -234,7 +232,7 @@ def enroll(
     record(state="signed")
     if destination is None:
         assert csr_file is not None  # noqa: S101 - without an address there is a file
-        target = write_identity(csr_file, bundle)
+        target = sign.write_identity(csr_file, bundle)
         say(f"signed: {target}; at the node: rossec node install {target.name}", file=str(target))
     else:
 
@@ -268,7 +266,7 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
         case (None, Path(), None):
             found = qr.parse(code_in_file(image, sys.stdin.buffer))
         case (None, None, Path()):  # its fingerprint was compared: it has no time
-            return qr.Code(sha256(read_request(csr_file, MAX_REQUEST)).digest())
+            return qr.Code(sha256(sign.read_request(csr_file, MAX_REQUEST)).digest())
         case _:
             raise click.UsageError("give a code, or --image, or --csr: one of them")
     found.check_time(now())

@@ -20,7 +20,6 @@ from rossec.authority import signing as things
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.invitations import InvitationStatus, end, find, invitations, revoke_nodes
 from rossec.authority.service import AuthorityService
-from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import FILE, NEW_FILE, Batch, flag, json_result, option, say_result
@@ -150,7 +149,7 @@ def renew(
     batch, carried = Batch(len(names), "name"), list[Path]()
     for name in names:
         with batch.item(name):
-            if name == OWN_NODE:
+            if name == things.OWN_NODE:
                 expires = service.identities.renew_own_node()
                 say(f"renewed {name} until {format_time(expires)}", expires=expires)
             else:
@@ -216,7 +215,7 @@ def refresh(service: AuthorityService, older: Path | None, entries: Path | None)
     listed, renewed = service.refresh()
     record(list=listed.seq, expires=listed.expires, own_identity_expires=renewed)
     if renewed is not None:
-        say(f"renewed {OWN_NODE} until {format_time(renewed)}")
+        say(f"renewed {things.OWN_NODE} until {format_time(renewed)}")
     say(f"list {listed.seq} holds until {format_time(listed.expires)}")
     publish_list(service)
 
@@ -346,6 +345,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
     store = home.store()
     kept = [files.read(path, _MAX_HEAD) for path in heads]
     with options.working("recomputing the log", quiet=in_json):
+        # Who owns the file can rewrite all of it, but not a head kept elsewhere (attack `rewritten-record`).
         newest = store.log.audit(home.own_key(), *kept)
     size = store.log.head(now()).size
     if in_json:

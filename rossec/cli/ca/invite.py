@@ -7,11 +7,10 @@ from pathlib import Path
 import click
 
 from ca.enrollment import invitation, qr
-from ca.enrollment.invitation import InvitationCode
 from ca.names import check_pattern
 from grants.policy.model import Policy
 from grants.policy.wanted import projected_for_names
-from rossec import files
+from rossec import clock, files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, invite
 from rossec.authority.keyservice.client import KeyServiceClient
@@ -19,7 +18,6 @@ from rossec.authority.policyfile import PolicyFile, place
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import own_address
 from rossec.cli.shared.options import NEW_FILE, duration, flag, json_result, option
-from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.terminal import note, note_picture, printable, record, say_secret
@@ -84,10 +82,10 @@ def command(
     say_secret(code.text())
 
 
-def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:
+def _describe(code: invitation.InvitationCode, uses: int, policy: list[str]) -> None:
     nodes = f"{uses} nodes" if uses > 1 else "one node"
     anonymous = ", for anonymous nodes too" if code.wildcard else ""
-    until = format_time(code.expires)
+    until = clock.format_time(code.expires)
     note(f"invitation {code.id.hex()[:8]}: {nodes} named {code.pattern}{anonymous}, until {until}")
     for line in policy:
         note(f"  {printable(line)}")

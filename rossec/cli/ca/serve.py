@@ -12,7 +12,6 @@ import click
 from ca.encoding import Value
 from rossec import clock
 from rossec.authority.console import serving
-from rossec.authority.console.serving import Console
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient, service_lock
 from rossec.authority.keyservice.front_end import ANY
@@ -29,10 +28,8 @@ from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at, own_address
 from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result
-from rossec.clock import format_duration
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
-from rossec.host.addresses import JOIN_PORT
 from rossec.host.audit import AUDIT, audit_written
 from rossec.host.local_sockets import UnixPeer
 from rossec.host.runner import log_as_json, stop_on_signals, until_first_ends, until_stopped
@@ -57,7 +54,7 @@ _STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pa
 @option(
     "--join-address=HOST:PORT join_address",
     "where nodes with an invitation join; *: every address of this host",
-    default=f"{ANY}:{JOIN_PORT}",
+    default=f"{ANY}:{addresses.JOIN_PORT}",
     show_default=True,
 )
 @flag("--no-network", "only serve the commands of this host")
@@ -149,7 +146,7 @@ def serve(
             console.peers.refuse(peer)
 
         reached = partial(_join_address, environment, join_address, face)
-        console = Console(where, environment.home, operations, network, policy_path, reached)
+        console = serving.Console(where, environment.home, operations, network, policy_path, reached)
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
         asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
@@ -159,7 +156,7 @@ def _join_address(environment: Environment, given: str, face: FrontEndProcess | 
         raise ConfigurationError(
             "this service has no join port", "start it without --no-network: rossec ca serve"
         )
-    host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
+    host = addresses.split(given.replace(ANY, "localhost", 1), addresses.JOIN_PORT)[0]
     return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
 
 
@@ -167,7 +164,7 @@ async def _serve(
     environment: Environment,
     home: AuthorityHome,
     process: KeyServiceProcess,
-    console: Console,
+    console: serving.Console,
     face: FrontEndProcess | None,
     network: NetworkWork | None,
     *,
@@ -203,7 +200,7 @@ def describe_remaining(remaining: int | None) -> str:
     """Whether the key is held, and for how long (`HeldKey.remaining`), for people."""
     if remaining is None:
         return "locked; unlock it with: rossec ca unlock --for 15m"
-    return f"unlocked for {format_duration(remaining)}" if remaining else "unlocked while it runs"
+    return f"unlocked for {clock.format_duration(remaining)}" if remaining else "unlocked while it runs"
 
 
 @click.command()

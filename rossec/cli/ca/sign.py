@@ -77,6 +77,7 @@ def sign(
     home, batch = service.home, Batch(len(requests))
     read = [(path, read_request(path)) for path in requests]
     if codes:
+        # The code authenticates the request, whoever carried it here (attack `enrollment-middle`).
         parsed = [qr.parse(text) for text in codes]
         for code in parsed:
             code.check_time(now())
@@ -278,6 +279,7 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
             b"" if request is None else files.read(request, _MAX_REQUEST),
             given["identity_lifetime"],
         )
+        # The label's code names the credential: a swapped file would give the name to another device.
         if given["code"] is not None and not qr.parse(given["code"]).matches(described(credential)):
             raise ConfigurationError(
                 "the code on the label is not that of this credential",

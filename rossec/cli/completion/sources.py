@@ -13,7 +13,6 @@ import re
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -63,7 +62,7 @@ class Sources:
             # Without writers' files SQLite would make some, also to read.
             busy = path.with_name(f"{path.name}-wal").exists()
             uri = f"{path.absolute().as_uri()}?{'mode=ro' if busy else 'immutable=1'}"
-            with closing(sqlite3.connect(uri, timeout=0, uri=True)) as db:
+            with contextlib.closing(sqlite3.connect(uri, timeout=0, uri=True)) as db:
                 # A schema may have triggers and views with functions: none is trusted to run.
                 db.execute("PRAGMA trusted_schema = OFF")
                 for (found,) in db.execute(_RECORD[kind], {"now": int(time.time())}):

@@ -22,6 +22,7 @@ from ca.errors import HintedError
 from ca.keys import ownership
 
 MAX_WORDS: Final = 2000
+# Names come from elsewhere: nothing that a shell or terminal could execute (attack `hostile-completion`).
 _WORD: Final = re.compile(r"[A-Za-z0-9/][A-Za-z0-9_./:+-]{0,299}", re.ASCII)
 # Written after a command has asked the master with an identity, so that Tab asks nobody. Readable by its
 # owner only: what a node may see of the graph is not for every user of the host.

@@ -17,7 +17,6 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import flag, json_result, option, say_result
 from rossec.clock import format_time
 from rossec.console.listening import read_address
 from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
@@ -26,9 +25,9 @@ from rossec.terminal import printable, say, say_json, say_picture
 
 
 @click.command()
-@option("--name", "what the phone will be called; it can be changed there", default="")
-@flag("--no-wait", "do not wait until the phone is set up")
-@flag("--json as_json", "one line of JSON; does not wait")
+@options.option("--name", "what the phone will be called; it can be changed there", default="")
+@options.flag("--no-wait", "do not wait until the phone is set up")
+@options.flag("--json as_json", "one line of JSON; does not wait")
 @pass_environment
 def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> None:
     """Show a one-time code that logs in a phone, and can set it up to approve.
@@ -90,7 +89,7 @@ def show_code(address: str) -> None:
 @click.command()
 @click.argument("name")
 @options.reason
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def remove(environment: Environment, name: str, reason: str) -> None:
     """Let the phone NAME approve nothing any more, also not what still waits for the key."""
     with closing(AuthorityHome.at(environment.home).store()) as store:
@@ -106,7 +105,7 @@ def remove(environment: Environment, name: str, reason: str) -> None:
 
 
 @click.command()
-@flag("--verify", "recompute every signature, with the whole log")
+@options.flag("--verify", "recompute every signature, with the whole log")
 @options.as_json
 @pass_environment
 def approvals(environment: Environment, verify: bool, as_json: bool) -> None:
@@ -144,7 +143,7 @@ def approvals(environment: Environment, verify: bool, as_json: bool) -> None:
     ]
     if verify:
         lines.append(f"{len(found)} approval{'s' * (len(found) != 1)}, each signed by its phone")
-    say_result(as_json, rows, lines or ["nothing was approved at the console yet"])
+    options.say_result(as_json, rows, lines or ["nothing was approved at the console yet"])
 
 
 def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
@@ -159,7 +158,7 @@ def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
         end = f"  removed: {ended[each.id]}" if each.id in ended else ""
         lines.append(printable(f"{each.name}  since {format_time(each.at)}  {last}  {each.origin}{end}"))
     rows = [_summary(each, used, ended) for each in found]
-    say_result(as_json, rows, lines or ["no phone can approve; next: rossec console phone"])
+    options.say_result(as_json, rows, lines or ["no phone can approve; next: rossec console phone"])
 
 
 def _summary(passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]) -> dict[str, object]:

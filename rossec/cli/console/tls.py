@@ -7,7 +7,6 @@ import click
 
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import flag, option, say_result
 from rossec.console.options import ConsoleOptions, check_name, read_options
 from rossec.console.tls import as_json as described
 from rossec.console.tls import certificates, describe
@@ -15,8 +14,8 @@ from rossec.errors import ConfigurationError
 
 
 @click.command()
-@flag("--renew", "make a new one, which every phone must install anew")
-@option("--name", "DNS name of this host for --renew; by default as before")
+@options.flag("--renew", "make a new one, which every phone must install anew")
+@options.option("--name", "DNS name of this host for --renew; by default as before")
 @options.as_json
 @pass_environment
 def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) -> None:
@@ -32,7 +31,7 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
     else:
         authority = certificates.open_authority(directory)
     install = ["install it on every phone: rossec console --lan --hand-out"] if renew else []
-    say_result(as_json, described(authority), [*describe(authority, now()), *install])
+    options.say_result(as_json, described(authority), [*describe(authority, now()), *install])
 
 
 def _name(directory: Path, given: str | None) -> str:

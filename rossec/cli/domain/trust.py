@@ -24,15 +24,13 @@ from ca.errors import NameRefused
 from ca.names import MASTER, RELAY, check_label, check_pattern
 from ca.store.signed_statements import check_domains_apart
 from grants.model import ALL_RIGHTS, Right
-from rossec import files
+from rossec import clock, files
 from rossec.authority.domain_operations import living_grants
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import confirm, now
-from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option
 from rossec.cli.shared.service import pass_service, publish_list
-from rossec.clock import format_time
 from rossec.enrollment import code_in_file
 from rossec.errors import ConfigurationError
 from rossec.terminal import note, note_picture, printable, record, say
@@ -43,26 +41,26 @@ OF_RELAYS: Final = (RELAY, f"{RELAY}/*")  # without these no link between sites
 EVERYTHING, NOTHING = "everything", "nothing"
 MAX_DAYS: Final = 10 * 366
 _RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
-admit = option(
+admit = options.option(
     "--admit=PATTERN", "nodes of it that may connect; its masters and relays may as well", multiple=True
 )
 
 
 @click.command()
-@option("--out", "write it here, instead of DOMAIN.bundle", type=NEW_FILE)
-@option(
+@options.option("--out", "write it here, instead of DOMAIN.bundle", type=options.NEW_FILE)
+@options.option(
     "--names=PATTERN",
     "your nodes that shall be admitted there",
     multiple=True,
     default=("/**",),
     show_default=True,
 )
-@option("--at=URI masters", "where they reach your master", multiple=True)
+@options.option("--at=URI masters", "where they reach your master", multiple=True)
 @options.duration(
     "--for lifetime", "how long it can be accepted", days=MAX_TRUST_BUNDLE_LIFETIME // 86400, default="7d"
 )
-@flag("--qr picture", "also show its code as a picture, on stderr")
-@json_result(pass_service)
+@options.flag("--qr picture", "also show its code as a picture, on stderr")
+@options.json_result(pass_service)
 def bundle(
     service: AuthorityService,
     out: Path | None,
@@ -107,23 +105,23 @@ def rules(command: Callable[..., Any]) -> Callable[..., Any]:
         ("--import=RULE imported", "taken from it into the graph here"),
         ("--export=RULE exported", "shown to it, where grants allow it too"),
     ):
-        command = option(name, f"{what}: PATTERN RIGHT[,RIGHT]", multiple=True)(command)
+        command = options.option(name, f"{what}: PATTERN RIGHT[,RIGHT]", multiple=True)(command)
     return command
 
 
 @click.command()
-@click.argument("bundle", type=FILE)
-@option("--as label", "what it is called here, for example hospital")
+@click.argument("bundle", type=options.FILE)
+@options.option("--as label", "what it is called here, for example hospital")
 @admit
 @fresh("1h")
 @lifetime("365d")
 @rules
-@option("--code", "the code that its authority shows (rossec domain bundle)")
+@options.option("--code", "the code that its authority shows (rossec domain bundle)")
 @options.image
-@option("--fingerprint expected", "the fingerprint that its authority has told you")
+@options.option("--fingerprint expected", "the fingerprint that its authority has told you")
 @options.master_uri
 @options.yes
-@json_result(pass_service)
+@options.json_result(pass_service)
 def accept(
     service: AuthorityService,
     bundle: Path,
@@ -144,7 +142,8 @@ def accept(
     that are admitted may then connect and say who they are; what they may do is up to grants. By
     default the names are admitted that the bundle asks for. Accepting it again changes the terms.
     """
-    # 1. The bundle is the one that was meant, as far as that can be checked here.
+    # 1. The bundle is the one that was meant, as far as that can be checked here. It is signed by the root in
+    # it, so by anybody: only the code or fingerprint of the other screen decides (attack `foreign-bundle`).
     home, data = service.home, files.read(bundle, MAX_TRUST_BUNDLE)
     if image is not None:
         code = code_in_file(image, sys.stdin.buffer)
@@ -174,6 +173,7 @@ def accept(
             "accept the bundle that the other authority wrote",
         )
     for row in home.store().domains.accepted():
+        # A domain is its root key: another one must not inherit its grants (attack `taken-label`).
         check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
     # 3. A person compares.
     _show(home, domain, found, is_checked=code is not None or expected is not None)
@@ -258,7 +258,7 @@ def _show(home: AuthorityHome, domain: ForeignDomain, bundle: TrustBundle, *, is
 def lines(terms: ForeignDomain) -> Iterator[str]:
     yield f"  fingerprint {fingerprint(terms.anchor)}"
     yield f"  admits {_admitted(terms.admitted)}"
-    yield f"  until {format_time(terms.until)}"
+    yield f"  until {clock.format_time(terms.until)}"
     yield f"  its word on its revocations may be {duration(terms.fresh)} old"
     for what, given in (("shown to it", terms.exported), ("taken from it", terms.imported)):
         if given is None:
@@ -316,7 +316,7 @@ def publish_domains(service: AuthorityService) -> None:
 @rules
 @options.master_uri
 @options.yes
-@json_result(pass_service)
+@options.json_result(pass_service)
 def limit(
     service: AuthorityService,
     label: str,
@@ -359,9 +359,9 @@ def limit(
 @click.command()
 @click.argument("label")
 @options.reason
-@flag("--revoke-grants", "also revoke every grant that was signed for its nodes")
+@options.flag("--revoke-grants", "also revoke every grant that was signed for its nodes")
 @options.master_uri
-@json_result(pass_service)
+@options.json_result(pass_service)
 def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bool) -> None:
     """Trust the domain LABEL no more, and cut its connections.
 

@@ -10,7 +10,7 @@ from grants import document
 from grants.model import Grant
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET
 from grants.token import peek
-from rossec import terminal
+from rossec import clock, terminal
 from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
@@ -18,7 +18,6 @@ from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import holder_home, open_held, read_token
 from rossec.cli.shared.options import FILE, Batch, duration, flag, json_result, option, say_result, unique
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
-from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -105,7 +104,7 @@ def permissions_json(grant: Grant) -> list[dict[str, object]]:
 
 def _line(grant: Grant, state: str) -> str:
     rights = "; ".join(dict.fromkeys(map(str, grant.permissions)))  # a right may have several restrictions
-    end = f"until {format_time(grant.expires)}"
+    end = f"until {clock.format_time(grant.expires)}"
     return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}  {terminal.state(state)}"
 
 
@@ -134,7 +133,7 @@ def show(file: Path) -> None:
     record(**_facts(content))
     holder = printable(f"of {content.domain} for {content.subject}")
     say(f"grant {content.id.hex()} {holder}")
-    say(f"holds from {format_time(content.not_before)} until {format_time(content.expires)}")
+    say(f"holds from {clock.format_time(content.not_before)} until {clock.format_time(content.expires)}")
     for depth, link in enumerate(content.links):
         if content.chain:
             to = printable(link.subject)
@@ -240,7 +239,7 @@ def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str,
         publish_list(service)
         return
     delegation, call = service.grants.delegate(lifetime, ticket, master)
-    until = format_time(delegation.expires)
+    until = clock.format_time(delegation.expires)
     # Signed and recorded before it is delivered: it can be withdrawn also if the master never answers.
     record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
     say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")

@@ -11,7 +11,7 @@ from grants import document
 from grants.model import Right
 from grants.policy.decision import restriction_lines
 from grants.request import GrantRequest, RequestedRight, grant_command, in_shell, sign_request
-from rossec import files
+from rossec import clock, files
 from rossec.authority import requests
 from rossec.authority.approvals import PendingApproval, verdict_change
 from rossec.authority.grant_operations import RefusedDeposit, SignedGrant, require_delivered
@@ -22,7 +22,6 @@ from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import FILE, FOLDER, PATH, Batch, flag, json_result, option, say_result
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
-from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import note, printable, record, say
@@ -120,7 +119,7 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
             yield from (f"  {rule.reason}" for rule in item.verdict.rules)
             yield from (f"  {line}" for line in restriction_lines(item.verdict))
             until = stored.at + policy.policy.defaults.prompt_timeout
-            yield f"  denied, unless you answer by {format_time(until)}"
+            yield f"  denied, unless you answer by {clock.format_time(until)}"
             yield f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny"
 
     say_result(as_json, [_summary(item) for item in prompts], lines() if prompts else ["no open requests"])
@@ -202,7 +201,7 @@ def _deliver(
     for draft, data in signed:
         number = document.grant_id(data).hex()
         options.add_entry("grants", {"id": number, "node": draft.subject, "expires": draft.expires})
-        say(f"grant {number} for {draft.subject} until {format_time(draft.expires)}")
+        say(f"grant {number} for {draft.subject} until {clock.format_time(draft.expires)}")
         for permission in draft.permissions:
             say(f"  may {permission}")
             for line in permission.lines():

@@ -25,7 +25,7 @@ from grants.filters.layout import parse
 from grants.model import MAX_NARROWINGS, Draft, Permission, Restriction, Right, check_time, filter_rules
 from grants.policy.names import NODE, check_rule_pattern, resolve
 from grants.token import pack_chain, peek, sign_narrowing
-from rossec import files
+from rossec import clock, files
 from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import CLOCK_SKEW
@@ -34,7 +34,6 @@ from rossec.cli.shared.context import Duration, Environment, now, pass_environme
 from rossec.cli.shared.master import read_token
 from rossec.cli.shared.options import FILE, PATH, duration, flag, json_result, option
 from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
-from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.participant.access import MAX_PRESENTED
@@ -169,7 +168,7 @@ def sign(
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.grants.sign(name, permissions, lifetime, renewal, may_narrow, pem)
     record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
-    say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
+    say(f"grant {document.grant_id(data).hex()} for {node} until {clock.format_time(draft.expires)}")
     refused = deliver_grant(service, data, out)
     remind_to_publish(service)
     require_delivered(refused)
@@ -407,7 +406,7 @@ def narrow(
         )
     files.create(out, packed, 0o644)
     record(id=peek(packed).id.hex(), node=receiver.name, expires=end, file=str(out))
-    say(f"grant {peek(packed).id.hex()} for {receiver.name} until {format_time(end)}")
+    say(f"grant {peek(packed).id.hex()} for {receiver.name} until {clock.format_time(end)}")
     say(f"written to {out}; on the machine of {receiver.name}: rossec grant install {out.name}")
 
 

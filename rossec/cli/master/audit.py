@@ -13,7 +13,6 @@ from rossec.errors import ConfigurationError
 from rossec.files import lines, open_text
 from rossec.home import NodeHome
 from rossec.host import audit as audits
-from rossec.host.audit import check_beginning
 from rossec.terminal import note, printable, say
 
 AUDIT = "audit.log"
@@ -67,7 +66,7 @@ def audit(
     last = audits.verify(entries, after) if verified else ""
     if verified and entries:
         known = _key(writer, key)
-        if remark := check_beginning(entries[0], known, after):
+        if remark := audits.check_beginning(entries[0], known, after):
             note(remark)
     for entry in entries:
         if since is None or entry["at"] >= since:

@@ -40,7 +40,6 @@ from rossec.channel.opening import post_quantum
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import REVOCATIONS, anew, find_master, is_of_revoked, open_held, revoked_text
-from rossec.cli.shared.options import flag
 from rossec.clock import format_duration, format_time
 from rossec.environment import OWN_MASTER, missing_nodes, nodes_in, own_master
 from rossec.errors import ChannelError, ConfigurationError
@@ -66,7 +65,7 @@ Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
 
 @click.command()
 @click.argument("names", metavar="[NODE]...", nargs=-1)
-@flag("--offline", "do not ask the master")
+@options.flag("--offline", "do not ask the master")
 @options.as_json
 @pass_environment
 def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_json: bool) -> None:
@@ -418,9 +417,8 @@ def _where(home: NodeHome, data: bytes) -> str:
 def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
     """How far this host's clock is off, by a timestamp of the second in which it was signed.
 
-    Args:
-        issued: the master's time, in whole seconds, when it answered.
-        begun, ended: this host's time before the question and after the answer.
+    `issued` is the master's time, in whole seconds, when it answered; `begun` and `ended` are this
+    host's before the question and after the answer.
     """
     behind, ahead = issued - ended, begun - (issued + 1)
     off = max(behind, ahead)

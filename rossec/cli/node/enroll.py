@@ -18,20 +18,17 @@ import click
 
 from ca.certificates import to_pem
 from ca.enrollment import NONCE_SIZE, WINDOW, invitation, qr
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.qr import Label, sheet
 from ca.enrollment.sides import NodeEnrollment, NodeState, Pending, group_digits
 from ca.errors import CertificateRefused, CodeRefused, EnrollmentOver, HintedError
 from ca.names import check_name, is_reserved, pattern_covers
 from ca.svid import check_request
-from rossec import files
+from rossec import clock, files
 from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.master import own_address
 from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
 from rossec.cli.shared.passphrase import read_lines
-from rossec.clock import format_time
 from rossec.enrollment import WaitingNode, ask_name
 from rossec.enrollment import enroll as enrollment_control
 from rossec.enrollment.join import join
@@ -266,8 +263,8 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
     for name in names:
         csr = NodeHome.of(environment.home, name).label_request(domain)
         key = check_request(csr, domain).thumbprint
-        made.append(Label(name, format_fingerprint(key), qr.label_code(csr)))
-    files.replace(out, sheet(made).encode(), 0o644)
+        made.append(qr.Label(name, format_fingerprint(key), qr.label_code(csr)))
+    files.replace(out, qr.sheet(made).encode(), 0o644)
     record(names=[each.name for each in made], file=str(out))
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")
 
@@ -313,10 +310,10 @@ def join_domain(
     record(name=home.name, joined=True, domain=identity.domain, expires=identity.not_after)
     say(f"authority of {identity.domain}, fingerprint {fingerprint(found.anchor)}")
     tail = f" and {home.name}_*" if wildcard else ""
-    say(f"{home.name}{tail} is enrolled until {format_time(identity.not_after)}")
+    say(f"{home.name}{tail} is enrolled until {clock.format_time(identity.not_after)}")
 
 
-def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
+def _code(path: Path | None, stdin: BinaryIO) -> invitation.InvitationCode:
     # The code from the file, or from standard input; from a terminal it is not shown.
     if path is not None:
         if path.is_file() and path.stat().st_mode & 0o077:
@@ -339,7 +336,7 @@ def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
     return invitation.parse(typed)
 
 
-def _parsed(data: bytes) -> InvitationCode:
+def _parsed(data: bytes) -> invitation.InvitationCode:
     if invitation.is_message(data):
         return invitation.read(data)
     try:
@@ -350,7 +347,7 @@ def _parsed(data: bytes) -> InvitationCode:
         ) from None
 
 
-def _name(code: InvitationCode, given: str | None) -> str:
+def _name(code: invitation.InvitationCode, given: str | None) -> str:
     pattern = code.pattern
     if given is None:
         if "*" in pattern:
@@ -373,9 +370,10 @@ def _name(code: InvitationCode, given: str | None) -> str:
     return given
 
 
-def _is_enrolled(home: NodeHome, code: InvitationCode) -> bool:
+def _is_enrolled(home: NodeHome, code: invitation.InvitationCode) -> bool:
     if not (home.path / "ca.pem").exists():
         return False
+    # Another root would be another authority: nothing here is replaced by a code (attack `join-impostor`).
     if sha256(home.anchor().certificate).digest() != code.root:
         raise ConfigurationError(
             f"{home.name} trusts another authority already",

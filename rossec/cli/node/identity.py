@@ -6,12 +6,11 @@ import click
 
 from ca.certificates import TrustAnchor
 from ca.enrollment import qr
-from rossec import files
+from rossec import clock, files
 from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
-from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import record, say, say_picture
@@ -144,7 +143,7 @@ def show(environment: Environment, name: str, as_json: bool) -> None:
         "path": str(home.path),
     }
     lines = [
-        f"{identity.name} of {identity.domain} until {format_time(end)}",
+        f"{identity.name} of {identity.domain} until {clock.format_time(end)}",
         *([f"also for anonymous nodes, {identity.name}_*"] if identity.wildcard else []),
         f"fingerprint {format_fingerprint(identity.thumbprint)}",
         f"{count} {'grant' if count == 1 else 'grants'} in {home.path}",

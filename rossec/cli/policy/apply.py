@@ -35,11 +35,9 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, parse_policy, place, read_policy
 from rossec.authority.service import AuthorityService
 from rossec.cli.policy import check
-from rossec.cli.policy.check import count
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.master import find_master, master_as
-from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result, working
 from rossec.cli.shared.service import deliver_grants, pass_service, publish_list, remind_to_publish
 from rossec.errors import ConfigurationError, NotDelivered, PolicyContradicted
 from rossec.home import NodeHome
@@ -51,11 +49,11 @@ _CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d"
 
 
 @click.command()
-@option("--from-graph=NODE node", "as this node ask the running master")
-@option("--from-log log", "from this denial log (rossec master --denial-log FILE)", type=FILE)
-@option("--out", "write here instead of the policy", type=PATH)
+@options.option("--from-graph=NODE node", "as this node ask the running master")
+@options.option("--from-log log", "from this denial log (rossec master --denial-log FILE)", type=options.FILE)
+@options.option("--out", "write here instead of the policy", type=options.PATH)
 @options.policy
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def learn(
     environment: Environment, node: str | None, log: Path | None, out: Path | None, policy_path: Path | None
 ) -> None:
@@ -94,7 +92,7 @@ def learn(
         say(f"learned {rule.id}: {_rights(rule)}")
     total = len(rules) + _count_own(read)
     say(
-        f"{count(len(rules), 'new rule')}, {total} in {out or read.path};"
+        f"{check.count(len(rules), 'new rule')}, {total} in {out or read.path};"
         " next: rossec policy review --from-log FILE"
     )
 
@@ -136,7 +134,7 @@ def _count_own(read: PolicyFile) -> int:
 
 
 @click.command()
-@option("--from-log log", "what to go through", type=FILE, required=True)
+@options.option("--from-log log", "what to go through", type=options.FILE, required=True)
 @options.policy
 @pass_environment
 def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
@@ -152,7 +150,7 @@ def review(environment: Environment, log: Path, policy_path: Path | None) -> Non
             if answer != "s":
                 read = read.replace(add_rules(read.text, [_rule_of(read, item, answer)]))
     total = _count_own(read)
-    say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
+    say(f"{check.count(total - before, 'new rule')}, {total} in {read.path}")
 
 
 def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
@@ -178,13 +176,13 @@ def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
 
 @click.command()
 @options.policy
-@option("--node=NAME names", "only for this node", multiple=True)
-@flag("--dry-run", "only show the difference")
-@flag("--prune", "revoke grants made by hand against a denial, too")
-@flag("--renew", "sign anew what has less than a third of its time left")
+@options.option("--node=NAME names", "only for this node", multiple=True)
+@options.flag("--dry-run", "only show the difference")
+@options.flag("--prune", "revoke grants made by hand against a denial, too")
+@options.flag("--renew", "sign anew what has less than a third of its time left")
 @options.master_uri
 @options.yes
-@flag("--json as_json", "the difference as one line of JSON")
+@options.flag("--json as_json", "the difference as one line of JSON")
 @pass_service
 def apply(
     service: AuthorityService,
@@ -209,13 +207,13 @@ def apply(
     policy denies; 6 as 0, but some of it cannot be granted to some nodes; 130 interrupted.
     """
     policy = read_policy(service.rossec_home, policy_path, signs=True)
-    with working("comparing the policy with the grants in force", quiet=as_json):
+    with options.working("comparing the policy with the grants in force", quiet=as_json):
         plan = service.policy.plan(policy, names or None, renew_due=renew, prune=prune)
-    say_result(as_json, check.as_json(plan), check.lines(plan))
+    options.say_result(as_json, check.as_json(plan), check.lines(plan))
     leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
     if leaks:
         command = shlex.join(["rossec", "policy", "lint", *([str(policy_path)] if policy_path else [])])
-        note(f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}")
+        note(f"this policy may give away more than it says, {check.count(len(leaks), 'remark')}: {command}")
     if not dry_run:
         _carry_out(service, plan, yes=yes, as_json=as_json)
     require_complete(plan)
@@ -233,7 +231,7 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
     if not plan.is_empty:
         confirm(f"{check.summary(plan)}?", yes=yes)
         service.unlock()  # it may ask
-        with working("signing and delivering", quiet=as_json):
+        with options.working("signing and delivering", quiet=as_json):
             service.policy.apply(plan, note if as_json else say)
         if any(node.sign and is_alias(node.subject.name) for node in plan.nodes):
             say(f"grants for nodes of other domains are in {service.grants.outgoing}: carry them there")
@@ -248,10 +246,10 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
 
 @click.command("opt-out")
 @click.argument("name")
-@flag("--node is_node", "NAME is a node, enrolled or not")
+@options.flag("--node is_node", "NAME is a node, enrolled or not")
 @options.master_uri
 @options.policy
-@json_result(pass_service)
+@options.json_result(pass_service)
 def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Path | None) -> None:
     """Show the topic NAME to no node; or, when NAME is a node, show that node no topic.
 
@@ -262,6 +260,7 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
     policy = read_policy(service.rossec_home, policy_path)
     opted_out = service.policy.opt_out(policy, name, is_node=is_node)
     record(rule=opted_out.rule, file=str(opted_out.policy.path))
+    # One anonymous node of several is its identity: the others would go on (attack `opt-out`).
     if opted_out.name != name:
         say(f"{name} is one of the anonymous nodes of {opted_out.name}, which are one identity:")
         say("all of them are opted out")

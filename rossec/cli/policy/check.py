@@ -1,6 +1,6 @@
 """`rossec policy check | lint | init | import-sros2 | test`, and what a policy changes in grants."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -18,12 +18,10 @@ from grants.policy.rules import is_basics
 from grants.policy.source import Mistake
 from grants.policy.sros2 import MAX_SIZE, described, import_sros2
 from grants.policy.wanted import Withheld
-from rossec import files
+from rossec import clock, files
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, parse_policy, place
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result
-from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
 from rossec.terminal import fail, note, printable, say, say_block, say_json
@@ -32,9 +30,9 @@ _NAMED = 3  # nodes of one line
 
 
 @click.command()
-@click.argument("file", required=False, type=PATH)
-@option("--robot", "its name, for people  [default: home]", default="home")
-@json_result(pass_environment)
+@click.argument("file", required=False, type=options.PATH)
+@options.option("--robot", "its name, for people  [default: home]", default="home")
+@options.json_result(pass_environment)
 def init(environment: Environment, file: Path | None, robot: str) -> None:
     """Write the commented beginning of a policy to FILE, which must not exist.
 
@@ -52,8 +50,8 @@ def init(environment: Environment, file: Path | None, robot: str) -> None:
 
 
 @click.command("import-sros2")
-@click.argument("xml", type=FILE)
-@option("--out", "write the policy to this new file", type=PATH)
+@click.argument("xml", type=options.FILE)
+@options.option("--out", "write the policy to this new file", type=options.PATH)
 def import_(xml: Path, out: Path | None) -> None:
     """Turn the SROS2 policy in XML into one of rossec.
 
@@ -77,7 +75,7 @@ def import_(xml: Path, out: Path | None) -> None:
 
 
 @click.command()
-@click.argument("file", required=False, type=FILE)
+@click.argument("file", required=False, type=options.FILE)
 @options.as_json
 @pass_environment
 def check(environment: Environment, file: Path | None, as_json: bool) -> None:
@@ -93,12 +91,16 @@ def check(environment: Environment, file: Path | None, as_json: bool) -> None:
     if failures:
         found = (Mistake(x.line, 1, x.failure, x.needed, str(path)) for x in failures)
         _print_mistakes(tuple(found), as_json=as_json)
-        message = f"{len(failures)} of {len(outcomes)} assertions of {path} do not hold"
-        raise PolicyRefused(message, "correct the rules, or what the tests say")
+        raise _not_held(failures, len(outcomes), path)
     basics = any(map(is_basics, read.policy.rules))
     rules = [f"rules: {len(read.policy.rules) - basics}", *(["basics"] if basics else [])]
     tests = [f"tests that hold: {len(read.policy.tests)}"] if read.policy.tests else []
-    say_result(as_json, [], [f"{path} is right; {', '.join([*rules, *tests])}"])
+    options.say_result(as_json, [], [f"{path} is right; {', '.join([*rules, *tests])}"])
+
+
+def _not_held(failures: Sequence[CheckOutcome], total: int, path: Path) -> PolicyRefused:
+    message = f"{len(failures)} of {total} assertions of {path} do not hold"
+    return PolicyRefused(message, "correct the rules, or what the tests say")
 
 
 def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
@@ -163,7 +165,7 @@ def _rule_row(rule: PolicyRule) -> dict[str, object]:
 
 
 @click.command()
-@click.argument("file", required=False, type=FILE)
+@click.argument("file", required=False, type=options.FILE)
 @options.as_json
 @pass_environment
 def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
@@ -177,7 +179,7 @@ def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
             yield f"  {item.hint}"
         yield remarks(len(found))
 
-    say_result(as_json, [item.as_json() for item in found], lines())
+    options.say_result(as_json, [item.as_json() for item in found], lines())
 
 
 def remarks(number: int) -> str:
@@ -190,8 +192,8 @@ def count(number: int, what: str) -> str:
 
 
 @click.command()
-@click.argument("file", required=False, type=FILE)
-@flag("--json as_json", "one line of JSON")
+@click.argument("file", required=False, type=options.FILE)
+@options.flag("--json as_json", "one line of JSON")
 @pass_environment
 def test(environment: Environment, file: Path | None, as_json: bool) -> None:
     """Run the tests in the policy FILE: what must stay true of it.
@@ -207,10 +209,7 @@ def test(environment: Environment, file: Path | None, as_json: bool) -> None:
     for each in failures if not as_json else ():
         fail(f"{path}:{each.line}: {each.failure}", each.needed)
     if failures:
-        raise PolicyRefused(
-            f"{len(failures)} of {len(outcomes)} assertions of {path} do not hold",
-            "correct the rules, or what the tests say",
-        )
+        raise _not_held(failures, len(outcomes), path)
     if not as_json:
         say(f"assertions that hold: {len(outcomes)}" if outcomes else f"{path} has no tests")
 
@@ -255,7 +254,7 @@ def lines(plan: PolicyPlan) -> Iterator[str]:
     if due:
         yield f"{count(due, 'grant')} due for renewal: rossec policy apply --renew"
     if plan.ends is not None:
-        yield f"the first grant of the policy ends {format_time(plan.ends)}"
+        yield f"the first grant of the policy ends {clock.format_time(plan.ends)}"
 
 
 # What is the same for many nodes is one line of text; JSON has each right of each node.

@@ -28,7 +28,6 @@ from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.messages import fill, flat, parse_message, stamp_now
-from rossec.cli.shared.options import FILE, option, say_result
 from rossec.clock import format_time as clock_format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
@@ -43,10 +42,10 @@ _NO_KEY = bytes(32)
 @click.argument("node")
 @click.argument("right")
 @click.argument("name")
-@option(
+@options.option(
     "--message message_file",
     "try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
-    type=FILE,
+    type=options.FILE,
 )
 @options.as_json
 @options.policy
@@ -79,7 +78,7 @@ def explain(
             note(f"nobody named {node} is enrolled here ({suggest(node, certified)})")
         in_force = [_as_json(each) for each in held]
         document = {"decision": "none", "rules": [], "explanation": [], "sees": {}, "in_force": in_force}
-        say_result(as_json, document, _lines_of_grants(subject, asked, name, held))
+        options.say_result(as_json, document, _lines_of_grants(subject, asked, name, held))
         return
     read = read_policy(environment.home, policy_path)
     decider = read.decider
@@ -116,7 +115,7 @@ def explain(
             yield "this message would be sent" if tried["sent"] else f"withheld: {tried['reason']}"
             yield from (f"  {line}" for line in tried["changed"])
 
-    say_result(as_json, document, lines())
+    options.say_result(as_json, document, lines())
 
 
 def subject_of(environment: Environment, node: str) -> Subject:
@@ -258,7 +257,7 @@ def show_privacy(
         for row in report.rows(accesses, layout_of, read.policy.vocabulary)
         if _is_wanted(node, field, row.receiver, row.field)
     ]
-    say_result(as_json, report.as_json(rows), report.lines(rows))
+    options.say_result(as_json, report.as_json(rows), report.lines(rows))
 
 
 def _held(home: AuthorityHome, decider: Decider, told: Callable[[int], str]) -> list[ReceiverAccess]:

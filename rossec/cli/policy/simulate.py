@@ -26,7 +26,6 @@ from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_po
 from rossec.cli.policy.explain import changes, subject_of
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import FILE, option, say_result, working
 from rossec.errors import ConfigurationError, MessageError
 from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.terminal import note, printable
@@ -68,10 +67,10 @@ class Tally:
 
 
 @click.command()
-@option("--policy new", "the policy to try", type=FILE, required=True)
-@option("--old", "compare with this; by default the one in force, if any", type=FILE)
-@option("--bag", "a bag of ROS 1", type=FILE, required=True)
-@option("--node nodes", "only as this receiver sees it", multiple=True)
+@options.option("--policy new", "the policy to try", type=options.FILE, required=True)
+@options.option("--old", "compare with this; by default the one in force, if any", type=options.FILE)
+@options.option("--bag", "a bag of ROS 1", type=options.FILE, required=True)
+@options.option("--node nodes", "only as this receiver sees it", multiple=True)
 @options.as_json
 @pass_environment
 def simulate(
@@ -87,14 +86,14 @@ def simulate(
         receivers = [subject_of(environment, node) for node in nodes]
     else:
         receivers = receivers_in(before.policy, read.policy)
-    with working("reading the bag", quiet=as_json):
+    with options.working("reading the bag", quiet=as_json):
         found = run(bag, receivers, (before.decider, read.decider))
     lines = (line for (topic, who), tallies in found.items() for line in _lines(topic, who, *tallies))
     document = [
         {"topic": topic, "receiver": who, "old": vars(old), "new": vars(new)}
         for (topic, who), (old, new) in found.items()
     ]
-    say_result(as_json, document, lines if found else ["the bag holds nothing for these receivers"])
+    options.say_result(as_json, document, lines if found else ["the bag holds nothing for these receivers"])
 
 
 def _in_force(environment: Environment) -> PolicyFile:

@@ -36,7 +36,7 @@ _RELAY: Final = {
 def relay(
     context: click.Context,
     environment: Environment,
-    forwarded_ports: str,
+    bind: str,
     account_file: Path | None,
     name: str | None,
     *,
@@ -52,9 +52,9 @@ def relay(
 
         context.obj = environment = Environment({**environment.variables, OWN_RELAY: name})
     if context.invoked_subcommand is not None:
-        if forwarded_ports or account_file is not None or as_json:
+        if bind or account_file is not None or as_json:
             raise click.UsageError("only --name stands before a verb")
         return
     from rossec.cli.relay.serve import run  # noqa: PLC0415 - imported when it runs
 
-    run(environment, forwarded_ports, account_file, as_json=as_json)
+    run(environment, bind, account_file, as_json=as_json)

@@ -32,10 +32,10 @@ from rossec.terminal import note, printable, say, say_json
 _log = logging.getLogger("rossec.overlay")
 
 
-def run(environment: Environment, forwarded_ports: str, account_file: Path | None, *, as_json: bool) -> None:
+def run(environment: Environment, bind: str, account_file: Path | None, *, as_json: bool) -> None:
     """Run the relay of this host.
 
-    Without an address of `forwarded_ports` they are on loopback, for this user. `account_file` is used
+    Without an address to `bind` forwarded ports are on loopback, for this user. `account_file` is used
     instead of the account that is kept.
     """
     store = relay_files(environment)
@@ -48,7 +48,7 @@ def run(environment: Environment, forwarded_ports: str, account_file: Path | Non
 
     async def serve() -> None:
         stop = stop_on_signals()
-        admission = _admission(forwarded_ports)
+        admission = _admission(bind)
         name = own_relay(environment.variables)
         member = RelayMember(name, await with_master(environment, name))
 
@@ -85,16 +85,16 @@ def run(environment: Environment, forwarded_ports: str, account_file: Path | Non
         asyncio.run(serve())
 
 
-def _admission(forwarded_ports: str) -> PortAdmission:
-    if not forwarded_ports:
+def _admission(bind: str) -> PortAdmission:
+    if not bind:
         return Callers({os.geteuid()}, loopback=find_loopback())
     try:
-        address = str(ip_address(forwarded_ports))
+        address = str(ip_address(bind))
         # Bound once to see that it is of this host: forwarded ports are opened later, one for each node.
         with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
             sock.bind((address, 0))
     except (ValueError, OSError) as error:
         raise ConfigurationError(
-            f"{forwarded_ports[:80]} is not an address of this host", "--bind 192.168.1.5, as ROS_IP is"
+            f"{bind[:80]} is not an address of this host", "--bind 192.168.1.5, as ROS_IP is"
         ) from error
     return OpenPorts(address)

@@ -16,13 +16,12 @@ from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
-from rossec.cli.shared.options import FILE, Batch, json_result, option, say_result, unique
 from rossec.errors import ConfigurationError
 from rossec.node import Node, register_service_type, service_type
 from rossec.participant.handshakes import caller_here, text
 from rossec.terminal import json_text, printable, record, say, say_block, say_json
 
-_AS = option("--as=NODE node", "identity to use", required=True)
+_AS = options.option("--as=NODE node", "identity to use", required=True)
 T = TypeVar("T")
 
 
@@ -33,7 +32,7 @@ T = TypeVar("T")
 def list_services(environment: Environment, node: str, as_json: bool) -> None:
     """List the services that NODE may see."""
     known = _run(environment, node, lambda running: running.services.known())
-    say_result(as_json, known, (printable(shown(name)) for name in sorted(known)))
+    options.say_result(as_json, known, (printable(shown(name)) for name in sorted(known)))
 
 
 def _run(environment: Environment, node: str, work: Callable[[Node], Awaitable[T]]) -> T:
@@ -61,13 +60,13 @@ def service_info(environment: Environment, name: str, node: str, as_json: bool) 
     found = {"node": caller, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
     if caller != provider.name:
         found["identity"] = provider.name
-    say_result(as_json, found, (f"{key}: {printable(shown(value))}" for key, value in found.items()))
+    options.say_result(as_json, found, (f"{key}: {printable(shown(value))}" for key, value in found.items()))
 
 
 @click.command("type")
 @click.argument("name")
 @_AS
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def type_of_service(environment: Environment, name: str, node: str) -> None:
     """Print the type of the service NAME."""
     service = local_name(name)
@@ -81,9 +80,9 @@ def type_of_service(environment: Environment, name: str, node: str) -> None:
 @click.argument("name")
 @click.argument("content", nargs=-1)
 @_AS
-@option("--type=PKG/TYPE type_name", "instead of asking the provider")
-@option("--definition", "the .srv file of that type, unless it is a standard one", type=FILE)
-@option(
+@options.option("--type=PKG/TYPE type_name", "instead of asking the provider")
+@options.option("--definition", "the .srv file of that type, unless it is a standard one", type=options.FILE)
+@options.option(
     "--timeout",
     "seconds to wait for the answer",
     type=click.FloatRange(min=0, min_open=True),
@@ -144,7 +143,7 @@ def list_params(environment: Environment, namespace: str, node: str, as_json: bo
     names = _run(environment, node, lambda running: running.params.names())
     prefix = local_name(namespace).rstrip("/") + "/"
     found = sorted(name for name in names if f"{name}/".startswith(prefix))
-    say_result(as_json, found, (printable(shown(name)) for name in found))
+    options.say_result(as_json, found, (printable(shown(name)) for name in found))
 
 
 @click.command()
@@ -182,7 +181,7 @@ def _encodable(value: object) -> object:
 @click.argument("name")
 @click.argument("values", metavar="VALUE", nargs=-1, required=True)
 @_AS
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def set_param(environment: Environment, name: str, values: tuple[str, ...], node: str) -> None:
     """Set the parameter NAME to VALUE (YAML, as in rosparam)."""
     if len(values) > 1:
@@ -203,11 +202,11 @@ def set_param(environment: Environment, name: str, values: tuple[str, ...], node
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @_AS
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def delete_param(environment: Environment, names: tuple[str, ...], node: str) -> None:
     """Unset the parameter NAME and everything below it."""
-    keys = unique([local_name(name) for name in names])
-    batch = Batch(len(keys), "name")
+    keys = options.unique([local_name(name) for name in names])
+    batch = options.Batch(len(keys), "name")
 
     async def work(running: Node) -> None:
         for key in keys:

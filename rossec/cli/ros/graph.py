@@ -18,7 +18,6 @@ from rossec.cli.completion import values
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import calls_as, find_master, master_at
-from rossec.cli.shared.options import flag, json_result, option, say_result, working
 from rossec.discovery import PATIENCE, masters, uri_of
 from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
@@ -30,7 +29,7 @@ from rossec.terminal import note, printable, record, say, say_json
 UNKNOWN = "unknown type"  # as rostopic has it
 T = TypeVar("T")
 Names = Mapping[str, tuple[str, ...]]
-as_node = option("--as=NODE node", "identity to use", required=True)
+as_node = options.option("--as=NODE node", "identity to use", required=True)
 _NAMESPACE = click.argument("namespace", required=False)
 PAUSE: Final = 1.0  # seconds until the first reconnection
 MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
@@ -40,9 +39,9 @@ _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 @click.command("list")
 @_NAMESPACE
 @as_node
-@flag("--verbose -v", "with types, and how many nodes")
-@flag("--publishers -p", "only what is published")
-@flag("--subscribers -s", "only what is subscribed to")
+@options.flag("--verbose -v", "with types, and how many nodes")
+@options.flag("--publishers -p", "only what is published")
+@options.flag("--subscribers -s", "only what is subscribed to")
 @options.as_json
 @pass_environment
 def list_topics(
@@ -79,7 +78,7 @@ def list_topics(
                     yield printable(f" * {shown(topic)} [{state.type_of(topic)}] {many}")
             yield ""
 
-    say_result(as_json, [_row(state, topic) for topic in topics], lines())
+    options.say_result(as_json, [_row(state, topic) for topic in topics], lines())
     if not topics and namespace is None:
         note_hidden(node)
 
@@ -231,7 +230,7 @@ def addresses(environment: Environment, node: str, names: list[str]) -> dict[str
 @click.command("type")
 @click.argument("name")
 @as_node
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def type_of_topic(environment: Environment, name: str, node: str) -> None:
     """Print the type of the topic NAME."""
     state = system_state(environment, node)
@@ -246,7 +245,7 @@ def type_of_topic(environment: Environment, name: str, node: str) -> None:
 @click.command()
 @click.argument("type_name", metavar="TYPE")
 @as_node
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def find_topics(environment: Environment, type_name: str, node: str) -> None:
     """List the topics whose messages are of TYPE."""
     state = system_state(environment, node)
@@ -263,7 +262,7 @@ def find_topics(environment: Environment, type_name: str, node: str) -> None:
 def list_nodes(environment: Environment, node: str, as_json: bool) -> None:
     """List the running nodes that NODE may see."""
     names = system_state(environment, node).nodes
-    say_result(as_json, names, (printable(shown(name)) for name in names))
+    options.say_result(as_json, names, (printable(shown(name)) for name in names))
     if not names:
         note_hidden(node)
 
@@ -309,9 +308,9 @@ def _say(heading: str, names: list[str], state: SystemState | None) -> None:
 
 
 @click.command()
-@option("--as=NODE node", "identity to use", required=True)
-@flag("--watch", "go on, and say what changes; ends with Ctrl-C")
-@flag("--json as_json", "a line of JSON for each answer")
+@options.option("--as=NODE node", "identity to use", required=True)
+@options.flag("--watch", "go on, and say what changes; ends with Ctrl-C")
+@options.flag("--json as_json", "a line of JSON for each answer")
 @pass_environment
 def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> None:
     """Show the graph, as far as NODE may see it.
@@ -332,7 +331,7 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
 
     asyncio.run(look())
     found = ObservedChange(tuple(sorted(view.facts)), (), False, False)
-    say_result(as_json, _json(view, found), describe(view.facts))
+    options.say_result(as_json, _json(view, found), describe(view.facts))
 
 
 async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
@@ -404,15 +403,15 @@ def describe(facts: frozenset[Fact]) -> list[str]:
 
 
 @click.command()
-@option("--as=NAME identity", "the node whose master is looked for")
-@option(
+@options.option("--as=NAME identity", "the node whose master is looked for")
+@options.option(
     "--seconds",
     "how long to wait for the first",
     type=click.FloatRange(0.1, 600),
     default=PATIENCE,
     show_default=True,
 )
-@flag("--json as_json", "a line of JSON for each")
+@options.flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def discover(environment: Environment, identity: str | None, seconds: float, as_json: bool) -> None:
     """Look for the masters of this trust domain, the best link first.
@@ -422,7 +421,7 @@ def discover(environment: Environment, identity: str | None, seconds: float, as_
 
     `ROS_MASTER_URI=discover:` makes every command take the first one.
     """
-    with working("listening for masters", quiet=as_json):
+    with options.working("listening for masters", quiet=as_json):
         found = asyncio.run(masters(environment.home, identity, seconds))
     for one in found:
         link, clock = str(one.source.link), time.monotonic()

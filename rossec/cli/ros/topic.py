@@ -176,6 +176,7 @@ async def _read(arrivals: Arrivals) -> AsyncIterator[Message]:
 
 def readable(claimed: Definition) -> MessageType:
     """The type to read messages of `claimed` by: nothing is decided by what a publisher claims."""
+    # Its grammar is checked before the library generates code of it (attack `definition-runs-code`).
     try:
         known = message_type(claimed.name)
     except MessageError:

@@ -24,9 +24,7 @@ _DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
 class Environment:
     """The process environment of one command line, and the masters that it has found.
 
-    Attributes:
-        found: by the key of an authority, the URI of its master or why there is none (see
-            `rossec.cli.shared.master`).
+    `found`: by the key of an authority, the URI of its master or why there is none (see `shared.master`).
     """
 
     variables: Mapping[str, str]
@@ -119,6 +117,7 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
         program.main(list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ))
     except HintedError as error:
         terminal.fail(str(error), error.hint)
+        # Scripts tell what was signed but not delivered from what was refused (decision 0044).
         return _EXIT_CODES.get(type(error), terminal.REFUSED)
     except click.ClickException as error:
         return _report(error)
@@ -151,9 +150,7 @@ def _report(error: click.ClickException) -> int:
 class LazyCommand(click.Command):
     """A command that is listed: its name, and the place in `rossec.cli` it is imported from.
 
-    Attributes:
-        arguments: which names complete those of its arguments that are text, in their order (the kinds of
-            `rossec.cli.completion.values`).
+    `arguments`: which names complete its arguments that are text, in order (`completion.values.KINDS`).
     """
 
     def __init__(self, name: str, place: str, *arguments: str) -> None:

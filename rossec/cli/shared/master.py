@@ -29,7 +29,6 @@ from rossec.host.addresses import warn_of_own_address
 from rossec.net.rpc import RpcClient
 from rossec.participant.renewals import MasterCall
 from rossec.ros import names
-from rossec.ros.names import PRESENT_GRANTS
 from rossec.saved_statements import DomainFiles
 from rossec.terminal import note
 
@@ -57,13 +56,10 @@ def _given(environment: Environment, master_uri: str | None) -> str:
 async def find_master(
     environment: Environment, node: str | NodeHome | None, master_uri: str | None = None
 ) -> str:
-    """The master's URI: `master_uri`, or ROS_MASTER_URI, or ROS's default.
+    """The master's URI: `master_uri` (of `--master`), or ROS_MASTER_URI, or ROS's default.
 
-    Args:
-        environment: of the command.
-        node: the name or directory of who will call it, for `discover:`; None: any node of the
-            home, if all of them trust the same authority.
-        master_uri: the value of `--master`.
+    `node` is the name or directory of who will call it, for `discover:`; None: any node of the home,
+    if all of them trust the same authority.
     """
     uri = _given(environment, master_uri)
     if uri != DISCOVER:
@@ -119,7 +115,7 @@ async def calls_as(
         async def call(method: str, *parameters: object) -> object:
             return await client.ask(method, home.name, *parameters)
 
-        await call(PRESENT_GRANTS, home.grants())
+        await call(names.PRESENT_GRANTS, home.grants())
         yield call
 
 

@@ -24,7 +24,6 @@ from grants.policy import source
 from rossec import clock
 from rossec.errors import ConfigurationError
 from rossec.participant import message_types
-from rossec.participant.message_types import Message
 from rossec.terminal import printable
 
 # A time or duration of ROS 1 is a message to rosbags; (its name there, the one in ROS 1).
@@ -53,7 +52,7 @@ def is_message(value: object) -> bool:
     return hasattr(value, "__msgtype__")
 
 
-def _shown_name(message: Message, field: str) -> str:
+def _shown_name(message: message_types.Message, field: str) -> str:
     return TIME_FIELDS[field] if is_time(message) else field
 
 
@@ -61,7 +60,7 @@ def is_time(value: object) -> bool:
     return getattr(value, "__msgtype__", "") in TIMES
 
 
-def flat(message: Message, path: str = "") -> dict[str, str]:
+def flat(message: message_types.Message, path: str = "") -> dict[str, str]:
     """Each value of the message by the path of its field, as `pose.position.x`."""
     found: dict[str, str] = {}
     for field in message_types.field_names(message):
@@ -76,7 +75,7 @@ def flat(message: Message, path: str = "") -> dict[str, str]:
     return found
 
 
-def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str:
+def _value(message: message_types.Message, field: str, indent: int, hidden: Kinds = ()) -> str:
     value = message_types.field_value(message, field)
     if hidden and (length := _length(message, field, hidden)):
         return length
@@ -89,7 +88,7 @@ def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str
     return _list(value, indent, hidden) if isinstance(value, list) else _scalar(value)
 
 
-def _length(message: Message, field: str, hidden: Kinds) -> str:
+def _length(message: message_types.Message, field: str, hidden: Kinds) -> str:
     value = message_types.field_value(message, field)
     if isinstance(value, list | np.ndarray):
         kind = message_types.element_type(message, field)
@@ -104,7 +103,7 @@ def _below(text: str) -> str:
     return f"\n{text}" if text else "{}"
 
 
-def render(message: Message, indent: int = 0, hidden: Kinds = ()) -> str:
+def render(message: message_types.Message, indent: int = 0, hidden: Kinds = ()) -> str:
     """The message as rostopic prints it: one `field: value` a line, nested by two spaces.
 
     Text was written by a peer: it stays on its line and cannot steer the terminal. Of lists and
@@ -147,15 +146,12 @@ def quoted(text: str) -> str:
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     for character, name in (("\n", "\\n"), ("\t", "\\t"), ("\r", "\\r")):
         escaped = escaped.replace(character, name)
+    # A peer wrote it: it must not forge a line or steer the terminal (attack `terminal-output`).
     return f'"{printable(escaped)}"'
 
 
-def fill(message: Message, content: object, now: int = 0) -> None:
-    """Set the fields of `message` that `content` names, nested ones too.
-
-    Args:
-        now: nanoseconds since the epoch, which `now` and `auto` stand for.
-    """
+def fill(message: message_types.Message, content: object, now: int = 0) -> None:
+    """Set the fields that `content` names, nested ones too; `now` and `auto` are `now`, in nanoseconds."""
     _Filling(now).message("", message, content)
 
 
@@ -163,7 +159,7 @@ def fill(message: Message, content: object, now: int = 0) -> None:
 class _Filling:
     now: int
 
-    def message(self, path: str, message: Message, content: object) -> None:
+    def message(self, path: str, message: message_types.Message, content: object) -> None:
         if is_time(message):
             self._time(path, message, content)
         elif content == "auto" and message.__msgtype__ == "std_msgs/msg/Header":
@@ -172,7 +168,7 @@ class _Filling:
             for field, value in _by_name(path, message, content).items():
                 self._field(f"{path}.{field}" if path else field, message, field, value)
 
-    def _time(self, path: str, time: Message, content: object) -> None:
+    def _time(self, path: str, time: message_types.Message, content: object) -> None:
         if content == "now" and time.__msgtype__.endswith("/Time"):
             content = self.now
         if isinstance(content, int) and not isinstance(content, bool):
@@ -184,7 +180,7 @@ class _Filling:
         for field, value in _by_name(path, time, content).items():
             self._field(f"{path}.{TIME_FIELDS[field]}", time, field, value)
 
-    def _field(self, path: str, message: Message, field: str, value: object) -> None:
+    def _field(self, path: str, message: message_types.Message, field: str, value: object) -> None:
         current = message_types.field_value(message, field)
         if is_message(current):
             self.message(path, current, value)
@@ -193,7 +189,7 @@ class _Filling:
         else:
             message_types.set_field(message, field, _like(path, current, value))
 
-    def _list(self, path: str, message: Message, field: str, value: object) -> list[Any]:
+    def _list(self, path: str, message: message_types.Message, field: str, value: object) -> list[Any]:
         if not isinstance(value, list):
             raise ConfigurationError(f"{path} is a list, not {_kind(value)}", "write [a, b]")
         # A message begins with lists of this length, or none.
@@ -211,7 +207,7 @@ class _Filling:
         return element
 
 
-def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
+def _by_name(path: str, message: message_types.Message, content: object) -> dict[str, object]:
     fields = message_types.field_names(message)
     where = f"{path}: " if path else ""
     shown = [TIME_FIELDS[name] for name in fields] if is_time(message) else fields

@@ -64,9 +64,7 @@ def _without_echo() -> Iterator[int]:
 
 def read(file: Path | None, environ: Mapping[str, str]) -> str:
     given = _given(file, environ)
-    if given is not None:
-        return given
-    return _ask("passphrase of the authority's key")
+    return _ask("passphrase of the authority's key") if given is None else given
 
 
 def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:

@@ -5,11 +5,10 @@ from pathlib import Path
 
 from rossec import files
 from rossec.cli.shared import options
-from rossec.cli.shared.options import FILE
 from rossec.naming import MAX_INPUT, RuleRunner, check_document, check_rules, require_extra, rule_runner
 
 option = options.option(
-    "--rules=FILE rules_path", "rules in XSLT instead of those that are shipped", type=FILE
+    "--rules=FILE rules_path", "rules in XSLT instead of those that are shipped", type=options.FILE
 )
 
 

@@ -4,8 +4,6 @@ import asyncio
 import contextlib
 import functools
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,7 +41,7 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
     def run(environment: Environment, /, *, passphrase_file: Path | None, **values: Any) -> None:
         master_uri = values.pop("master_uri", None)
         # The key is dropped when the command ends, also by a refusal.
-        with closing(service_of(environment, passphrase_file, master_uri)) as service:
+        with contextlib.closing(service_of(environment, passphrase_file, master_uri)) as service:
             command(service, **values)
 
     return passphrase.option(run)
@@ -54,8 +52,8 @@ def service_of(
 ) -> AuthorityService:
     return AuthorityService(
         environment.home,
-        partial(passphrase.read, passphrase_file, environment.variables),
-        partial(call_master, environment, master_uri),
+        functools.partial(passphrase.read, passphrase_file, environment.variables),
+        functools.partial(call_master, environment, master_uri),
         now,
     )
 
