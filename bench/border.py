@@ -24,7 +24,7 @@ from typing import Any, Final
 from aiocoap.numbers import codes
 
 from ca.encoding import encode
-from rossec.border import StaticKey
+from rossec.border.handshakes import StaticKey
 from rossec.master.operation import raise_descriptor_limit
 from rossec.saved_statements import ThingFiles
 from tests.support.border import LAMP, BorderSite

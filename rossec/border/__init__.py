@@ -1,6 +1,1 @@
-"""The border router of constrained things. Reserved: nothing is here yet."""
-
-from rossec.border.border_router import BorderRouter
-from rossec.border.handshakes import StaticKey
-
-__all__ = ["BorderRouter", "StaticKey"]
+"""The border router of constrained things (RFC 7228): CoAP, EDHOC, OSCORE; needs the extra `constrained`."""

@@ -130,7 +130,7 @@ def credential(environment: Environment, file: Path, router: str) -> None:
     another router.
     """
     try:
-        from rossec.border import StaticKey  # noqa: PLC0415 - an extra
+        from rossec.border.handshakes import StaticKey  # noqa: PLC0415 - an extra
     except ImportError:
         raise ConfigurationError(
             "EDHOC for things is not installed", "pip install 'rossec[constrained]'"

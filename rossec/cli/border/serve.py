@@ -3,7 +3,9 @@
 import asyncio
 
 from rossec import clock
-from rossec.border import BorderRouter, StaticKey, border_router
+from rossec.border import border_router
+from rossec.border.border_router import BorderRouter
+from rossec.border.handshakes import StaticKey
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import with_master
 from rossec.errors import ConfigurationError, NotWritten

@@ -136,7 +136,7 @@ def accept(
     expected: str | None,
     yes: bool,
 ) -> None:
-    """Trust the domain of TRUST_BUNDLE, as far as these options say.
+    """Trust the domain of BUNDLE, as far as these options say.
 
     Shows its fingerprint, which you compare with the one its authority shows, and asks. Its nodes
     that are admitted may then connect and say who they are; what they may do is up to grants. By

@@ -68,7 +68,7 @@ def _check_origins(node: Node, rules: Sequence[TopicRule]) -> None:
         if domain is None:
             raise ConfigurationError(
                 f"no trusted domain is called {label}",
-                f"at this side's authority: rossec domain list, rossec domain accept CARD --as {label}",
+                f"at this side's authority: rossec domain list, rossec domain accept BUNDLE --as {label}",
             )
         if domain not in granted:
             pattern = next(each.pattern for each in rules if each.label == label)
