@@ -128,7 +128,7 @@ def test_what_is_wrong_on_this_host_is_no_master_to_wait_for(
 
 async def test_a_domain_that_is_not_trusted_is_refused(site: Site) -> None:
     async with gateway(site, "--from", "eve", "/x", says="no trusted domain is called eve") as ran:
-        assert "rossec domain accept CARD --as eve" in ran.said()
+        assert "rossec domain accept BUNDLE --as eve" in ran.said()
         assert await ran.process.wait() == 1
 
 
