@@ -1,6 +1,6 @@
 """Who sees only the network: how long each record is, and no content, without any grant.
 
-What a subscriber asks for is carried out as the product does (`rossec.participant.delivery`). The
+What a subscriber asks for is carried out as the product does (`rossec.participant.delivery_options`). The
 observer has watched another day with the truth, and takes for each length the room it was most
 often in. Beside it stands what lengths would tell if the publisher deflated what it filters.
 """
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from bench._flat import RATE, room_of, walk
 from bench._views import by_preset, poses, received
-from rossec.participant.delivery import DeliveryOptions, carried_out, deflated
+from rossec.participant.delivery_options import DeliveryOptions, carried_out, deflated
 
 _POSE: Final = "geometry_msgs/PoseStamped"
 Lengths = list[tuple[int, int]]  # the length of each record, and the room

@@ -24,7 +24,7 @@ from typing import Any, Final
 from grants.model import Right
 from rossec.host.callers import descendants, parents
 from rossec.node import Node
-from rossec.participant.delivery import deflated
+from rossec.participant.delivery_options import deflated
 from rossec.participant.message_types import message_type
 from tests.integration.sidecarworld import ROSSEC
 from tests.support.fleet import SECURE, Program, entitle, environment

@@ -16,7 +16,7 @@ import coverage
 import pytest
 from hypothesis import HealthCheck, settings
 
-from rossec.participant import delivery
+from rossec.participant import delivery_options
 from rossec.peer_limits import LogRateLimit
 
 # A loaded machine is slow, not wrong: no example is judged by the time it takes.
@@ -43,7 +43,7 @@ _NEEDED: Final = {
 @pytest.fixture(autouse=True)
 def _empty_rate_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines that a process logs once a minute are logged in every test."""
-    monkeypatch.setattr(delivery, "RATE_LIMIT", LogRateLimit())
+    monkeypatch.setattr(delivery_options, "RATE_LIMIT", LogRateLimit())
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

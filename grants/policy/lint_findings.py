@@ -20,7 +20,7 @@ from grants.policy.lint_views import Aspect, View
 from grants.policy.privacy import leaf_paths
 
 # Codes of what gives nothing away; every other code is a leak, or a right that is too wide.
-FORM: Final = {
+HARMLESS_CODES: Final = {
     *("no-reason", "no-lifetime", "long-lifetime", "never-decides"),
     *("unused-identity", "unused-group", "unused-filter", "unused-type"),
 }
@@ -48,7 +48,7 @@ class LintFinding:
 
     @property
     def is_leak(self) -> bool:
-        return self.code not in FORM
+        return self.code not in HARMLESS_CODES
 
     def as_json(self) -> dict[str, object]:
         return {name: getattr(self, name) for name in ("line", "code", "message", "hint")}

@@ -22,7 +22,7 @@ from rossec.peer_limits import printable
 from rossec.ros.names import MASTER
 
 if TYPE_CHECKING:
-    from rossec.authority.approvals import ApprovalQueue, Denial, PendingApproval, VerdictChange
+    from rossec.authority.grant_queue import Denial, GrantRequestQueue, PendingGrantRequest, VerdictChange
     from rossec.authority.policyfile import OptOut, PolicyFile, PolicyPlan
 
 
@@ -272,7 +272,7 @@ class PolicyWork:
                 queue.add_request(data)
             return queue.read_inbox()
 
-    def pending(self, policy: "PolicyFile") -> "list[PendingApproval]":
+    def pending(self, policy: "PolicyFile") -> "list[PendingGrantRequest]":
         with self._queue(policy) as queue:
             return [item for item in queue.pending() if not item.is_allowed]
 
@@ -294,7 +294,7 @@ class PolicyWork:
             chosen = queue.chosen(beginning)
             return queue.sign(self._session.unlock(), chosen, change, "a person")
 
-    def deny(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
+    def deny(self, policy: "PolicyFile", beginning: str) -> "list[PendingGrantRequest]":
         # Deny the pending request whose id begins so; returns the rights that were denied.
         with self._queue(policy) as queue:
             chosen = queue.chosen(beginning)
@@ -319,10 +319,10 @@ class PolicyWork:
 
         return revoke_shown(self._session.unlock(), opted_out, self._session.now())
 
-    def _queue(self, policy: "PolicyFile") -> "contextlib.closing[ApprovalQueue]":
-        from rossec.authority.approvals import ApprovalQueue  # noqa: PLC0415 - see above
+    def _queue(self, policy: "PolicyFile") -> "contextlib.closing[GrantRequestQueue]":
+        from rossec.authority.grant_queue import GrantRequestQueue  # noqa: PLC0415 - see above
 
-        return contextlib.closing(ApprovalQueue(self._session.home, policy, self._session.now()))
+        return contextlib.closing(GrantRequestQueue(self._session.home, policy, self._session.now()))
 
     def plan(
         self,

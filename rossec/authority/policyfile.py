@@ -2,9 +2,9 @@
 
 Without a file there is no policy, and it permits nothing. A plan changes nothing.
 
-Carried out, what is only taken away goes first; then what is new is signed, and what that replaces
-goes, so that no node is without what it keeps. Each step is one transaction: cut off between the
-last two, the next plan finds the new ones exact, and what is left is to revoke the old.
+Carried out, what is only taken away goes first; then what is new is signed, and what that replaces goes, so
+that no node is without what it keeps. Each step is one transaction: cut off between the last two, the next
+plan finds the new ones exact, and what is left is to revoke the old.
 """
 
 import secrets
@@ -203,8 +203,8 @@ class PolicyPlan:
 
 def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Moment) -> PolicyPlan:
     """Compare what `policy` allows outright with the grants in the record."""
-    # A node that cannot get all of it, or has more to lose than a list has room for, is among its
-    # `refused`, and changes nothing for the others.
+    # A node that cannot get all of it, or has more to lose than a list has room for, is among its `refused`,
+    # and changes nothing for the others.
     state = WantedState(policy.decider)
     with store.database.read_transaction():
         names = options.names
@@ -392,7 +392,8 @@ def _reason(plan: PolicyPlan) -> str:
 
 class OptOut(NamedTuple):
     # The policy is changed first. The grants are then revoked with the record locked: a decision by the old
-    # policy is signed already, or cannot be (`ApprovalQueue.sign`). What else they allowed is granted anew.
+    # policy is signed already, or cannot be (`GrantRequestQueue.sign`). What else they allowed is granted
+    # anew.
 
     policy: PolicyFile
     rule: str

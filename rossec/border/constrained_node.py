@@ -25,7 +25,7 @@ from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 from rossec.net.rpc import RpcClient
 from rossec.node import context, node, service, subscriber
 from rossec.node.publisher import Publisher
@@ -42,7 +42,7 @@ from rossec.participant.slave_api import SlaveApi
 from rossec.ros import names, xmlrpc
 from rossec.ros.names import MASTER, PRESENT_GRANTS, REVOCATION_UPDATE, Settings
 
-HALF_OPEN: Final = HalfOpen(512, 1024)  # of all ports: the master connects to each thing's node
+HALF_OPEN: Final = HalfOpenLimits(512, 1024)  # of all ports: the master connects to each thing's node
 AT_A_TIME: Final = 8  # things that connect to the master at the same time
 IDLE: Final = 2.0  # seconds without a call until the connection is closed
 _log = logging.getLogger("rossec.border")

@@ -111,7 +111,7 @@ class Connection(Generic[PeerT]):
         """
         edhoc, preamble = Initiator(config), negotiation.Preamble(opening, None)
         connection = cls(preamble, negotiation.Negotiation(edhoc), now, limits)
-        connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.message_1())]
+        connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.make_message_1())]
         return connection
 
     @classmethod

@@ -245,7 +245,7 @@ class Negotiation(Generic[PeerT]):
     def on_message_1(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
         edhoc = cast("Responder[PeerT]", self._edhoc)
         try:
-            return NegotiationStep(ConnectionState.WAIT_3, frame(Frame.HANDSHAKE, edhoc.message_1(body)))
+            return NegotiationStep(ConnectionState.WAIT_3, frame(Frame.HANDSHAKE, edhoc.on_message_1(body)))
         except WrongSuite as error:
             if self._retried:
                 raise
@@ -255,7 +255,7 @@ class Negotiation(Generic[PeerT]):
 
     def on_message_2(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
         edhoc = cast("Initiator[PeerT]", self._edhoc)
-        message_3, peer = edhoc.message_2(body, now)
+        message_3, peer = edhoc.on_message_2(body, now)
         if edhoc.send_x5t:  # the responder may not know the certificate: send nothing before message_4
             self._unconfirmed_peer = peer
         peer_now = None if edhoc.send_x5t else peer
@@ -263,11 +263,11 @@ class Negotiation(Generic[PeerT]):
 
     def on_message_3(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
         edhoc = cast("Responder[PeerT]", self._edhoc)
-        message_4, peer = edhoc.message_3(body, now)
+        message_4, peer = edhoc.on_message_3(body, now)
         return NegotiationStep(ConnectionState.OPEN, frame(Frame.HANDSHAKE, message_4), peer)
 
     def on_message_4(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
-        cast("Initiator[PeerT]", self._edhoc).message_4(body)
+        cast("Initiator[PeerT]", self._edhoc).on_message_4(body)
         return NegotiationStep(ConnectionState.OPEN, peer=self._unconfirmed_peer)
 
     def on_error(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
@@ -282,4 +282,4 @@ class Negotiation(Generic[PeerT]):
             raise errors.PeerRefused(f"the peer refused the handshake: {reason}", _HINT_REFUSED)
         self._edhoc = renewed = cast("Initiator[PeerT]", edhoc).after_wrong_suite(suites)
         self._retried, self.peer_sent_error = True, False
-        return NegotiationStep(ConnectionState.WAIT_2, frame(Frame.HANDSHAKE, renewed.message_1()))
+        return NegotiationStep(ConnectionState.WAIT_2, frame(Frame.HANDSHAKE, renewed.make_message_1()))

@@ -26,7 +26,7 @@ from rossec.enrollment.scanner import CLOSER, MAX_FILE, SECONDS
 from rossec.enrollment.sessions import SessionServer, wait_closed
 from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
 from rossec.host import addresses, local_sockets
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from rossec.peer_limits import printable
 
 PATIENCE: Final = 10.0  # seconds without a message from a caller
@@ -37,7 +37,7 @@ _TRIES: Final = 5
 _NAME: Final = "enrolling.sock"
 _LIMIT: Final = 4096
 _PATIENCE: Final = 30.0
-_CAPS: Final = HalfOpen(per_address=4, total=16)
+_CAPS: Final = HalfOpenLimits(per_address=4, total=16)
 _REASONS: Final[dict[type[errors.EnrollmentRefused], Reason]] = {
     errors.ConflictingOffer: Reason.CONFLICT,
     errors.EnrollmentOver: Reason.OVER,

@@ -33,7 +33,7 @@ from rossec.enrollment import sessions
 from rossec.enrollment.sessions import SessionServer
 from rossec.errors import PeerUnreachable
 from rossec.host import addresses
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from rossec.peer_limits import printable
 
 Admit: TypeAlias = Callable[[JoinRequest], Awaitable[JoinAnswer]]
@@ -46,7 +46,7 @@ CONNECT_PATIENCE: Final = 10.0  # seconds to connect, and for the authority to s
 RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as much again
 _DECISION: Final = 45.0  # seconds for the answer
 _TRIES: Final = 5
-_CAPS: Final = HalfOpen(per_address=32, total=256)
+_CAPS: Final = HalfOpenLimits(per_address=32, total=256)
 _BUSY: Final = RefusedMessage(RefuseReason.BUSY)
 _T = TypeVar("_T")
 _Asked = TypeVar("_Asked", JoinRequest, JoinClaim)
@@ -68,7 +68,7 @@ class JoinServer(SessionServer):
         admit: Admit,  # decides a request; what it raises is logged, and the node told to come again
         on_refusal: Callable[[str], None] = lambda _: None,  # called with each broken session as one line
         patience: float = REQUEST_PATIENCE,
-        caps: HalfOpen = _CAPS,
+        caps: HalfOpenLimits = _CAPS,
         name: Name = no_names,  # finds the name for a claim; raises as `admit`
     ) -> None:
         self._identity = identity

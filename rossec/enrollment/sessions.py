@@ -12,7 +12,7 @@ from ca.enrollment.messages import HEADER_SIZE, MAX_MESSAGE, frame, length
 from rossec.host.runner import TaskSet
 from rossec.net.aio.client import dial
 from rossec.net.aio.server import bind
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 
 CLOSE_TIMEOUT: Final = 5.0  # seconds for what was sent last to leave
 
@@ -48,7 +48,7 @@ async def connected(
 class SessionServer:
     """Listens, and runs `serve` for every peer that `caps` admit."""
 
-    def __init__(self, serve: Serve, caps: HalfOpen) -> None:
+    def __init__(self, serve: Serve, caps: HalfOpenLimits) -> None:
         self.port = 0  # it listens on last
         self._serve = serve
         self._count = HalfOpenCount(caps)

@@ -38,7 +38,7 @@ from rossec.net.rpc import RpcClient
 from rossec.node import Node
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import RawReceiver, RawSource
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 from rossec.participant.registrations import WATCH_GRAPH, GraphView, Retry
 from rossec.ros.xmlrpc import Fault
 

@@ -27,7 +27,7 @@ from grants.errors import DefinitionRefused
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused, RossecError
 from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 from rossec.participant.registrations import Fact
 from rossec.ros.names import ANY_TYPE
 

@@ -35,7 +35,7 @@ from rossec.inprocess.options import PlainConnection
 from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.sockets import ClientFilter, RosSocket, ServerFilter, tried_again
 from rossec.net.limits import message_limit, unit_limit
-from rossec.participant import definitions, delivery, handshakes
+from rossec.participant import definitions, delivery_options, handshakes
 from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.message_types import MessageType
@@ -188,7 +188,7 @@ class Connections:
             return AuthorizedConnection(sock, decision, None, partial(self._refilter, sock, kind))
         subscribed = definition_of(protocol.recv_data_class)
         decision = handshakes.admit_publisher(fields, peer, name, subscribed, access, now())
-        delivery.accepted_options(fields, delivery.NO_OPTIONS)
+        delivery_options.accepted_options(fields, delivery_options.NO_OPTIONS)
         claimed = definitions.from_header(fields)
 
         def kind_under(decision: Decision) -> definitions.Definition:
@@ -270,12 +270,12 @@ class Connections:
             if published is None or published.closed:
                 raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
             kind = definition_of(published.data_class)
-            options = delivery.carried_out(delivery.requested_options(fields), decision)
+            options = delivery_options.carried_out(delivery_options.requested_options(fields), decision)
             # Without a queue a publisher waits for each subscriber: no option is taken then.
-            sock.options = delivery.NO_OPTIONS if published.queue_size is None else options
+            sock.options = delivery_options.NO_OPTIONS if published.queue_size is None else options
 
             def guard_under(decision: Decision) -> Guard | None:
-                delivery.check_carried_out(sock.options, decision)
+                delivery_options.check_carried_out(sock.options, decision)
                 return self._guard_for(kind, decision)
 
             connection = AuthorizedConnection(sock, decision, guard_under(decision), guard_under)

@@ -34,8 +34,8 @@ from rossec.inprocess.options import PlainConnection
 from rossec.inprocess.process import RosConnection
 from rossec.inprocess.sockets import RosSocket
 from rossec.net.context import forget_in_children
-from rossec.participant import delivery
-from rossec.participant.delivery import (
+from rossec.participant import delivery_options
+from rossec.participant.delivery_options import (
     Deflatable,
     DeliveryOptions,
     Latch,
@@ -418,7 +418,7 @@ def _filter(topic: Any, guard: Guard, peer: str, samples: Samples, moment: float
             pieces = guard.apply(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
         except GrantError as error:
             name = topic.resolved_name
-            delivery.warn(_log, delivery.SENT, name, peer, error)
+            delivery_options.warn(_log, delivery_options.SENT, name, peer, error)
             continue
         if pieces is not None:
             if topic.is_latch:

@@ -26,7 +26,7 @@ from rossec.inprocess.identity import CONNECT_TIMEOUT, Connector, PlainSocketStr
 from rossec.inprocess.options import PlainConnection, PlainPeers
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.delivery import NO_OPTIONS
+from rossec.participant.delivery_options import NO_OPTIONS
 from rossec.participant.service_types import ServiceGuard
 from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import MESSAGE_LIMIT, PATIENCE, FrameReader, Framing

@@ -32,7 +32,7 @@ from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
-from rossec.net.limits import ACCEPTED, DIALLED, HalfOpen, HalfOpenCount
+from rossec.net.limits import ACCEPTED, DIALLED, HalfOpenCount, HalfOpenLimits
 
 
 class OpenConnections:
@@ -70,7 +70,9 @@ class SecureContext(Generic[PeerT]):
     own_dials: OwnDials = field(default_factory=OwnDials)  # to itself, which its ports accept
     dial_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: DIALLED)
     accept_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: ACCEPTED)
-    half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HalfOpen()))  # all ports share it
+    half_open: HalfOpenCount = field(
+        default_factory=lambda: HalfOpenCount(HalfOpenLimits())
+    )  # all ports share it
     renews: Renews[PeerT] | None = None  # with it, renewed certificates and grants are taken
     open_streams: OpenConnections = field(default_factory=OpenConnections)
 

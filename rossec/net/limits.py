@@ -55,7 +55,7 @@ def unit_limit(size: int | None, most: int) -> int:
 
 
 @dataclass(frozen=True)
-class HalfOpen:
+class HalfOpenLimits:
     per_address: int = 128
     total: int = 512
 
@@ -89,7 +89,7 @@ class HalfOpenCount:
     address that has most makes room in the same way.
     """
 
-    def __init__(self, caps: HalfOpen) -> None:
+    def __init__(self, caps: HalfOpenLimits) -> None:
         self._caps = caps
         self._total = 0
         # Both in the order of their beginning.

@@ -37,7 +37,7 @@ from rossec.participant import handshakes
 from rossec.participant.access import Access
 from rossec.participant.authorized import memory_scope
 from rossec.participant.connections import ConnectionTable, Dialer, OwnAddresses, serve_peer
-from rossec.participant.delivery import DeliveryOptions, carried_out, requested_options
+from rossec.participant.delivery_options import DeliveryOptions, carried_out, requested_options
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.message_types import message_type
 from rossec.participant.registrations import PublisherGrace

@@ -25,10 +25,10 @@ from rossec.errors import ConnectionHeaderRefused, NodeShutdown, RossecError
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.node.subscriber import QUEUE_SIZE, check_queue_size
-from rossec.participant import delivery
+from rossec.participant import delivery_options
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, forwarded_definition, needs_definition
-from rossec.participant.delivery import Latch, Sample
+from rossec.participant.delivery_options import Latch, Sample
 from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.host_types import known_type
 from rossec.participant.message_types import Message, MessageType
@@ -97,12 +97,12 @@ class Publisher:
         check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
-        self.links: dict[SubscriberConnection, SubscriberQueue | delivery.DeliveryQueue] = {}
+        self.links: dict[SubscriberConnection, SubscriberQueue | delivery_options.DeliveryQueue] = {}
         self._layout = layout
         self._context = context
         self._queue_size = queue_size
         self._latch: Latch[memoryview] = Latch()
-        self._deflation = delivery.SharedDeflation()
+        self._deflation = delivery_options.SharedDeflation()
         self._closed = False
         self._changed = asyncio.Event()
 
@@ -167,8 +167,8 @@ class Publisher:
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
 
-    def _rebuilt(self, options: delivery.DeliveryOptions, decision: Decision) -> Guard:
-        delivery.check_carried_out(options, decision)
+    def _rebuilt(self, options: delivery_options.DeliveryOptions, decision: Decision) -> Guard:
+        delivery_options.check_carried_out(options, decision)
         return self.guard(decision)
 
     def _shape(self, _decision: Decision) -> Layout | None:
@@ -181,13 +181,13 @@ class Publisher:
         decision: Decision,
         guard: Guard,
         answer: bytes,
-        options: delivery.DeliveryOptions = delivery.NO_OPTIONS,
+        options: delivery_options.DeliveryOptions = delivery_options.NO_OPTIONS,
     ) -> None:
         """Answer one admitted subscriber and send it messages until its stream ends. It is registered before
         the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, options))
         queue = (
-            delivery.DeliveryQueue(stream, options, self._queue_size, self._deflation)
+            delivery_options.DeliveryQueue(stream, options, self._queue_size, self._deflation)
             if options
             else SubscriberQueue(stream, self._queue_size)
         )
@@ -228,7 +228,9 @@ class Publisher:
         try:
             pieces = connection.guard.apply(sample.data, now, sample.mark)
         except GrantError as error:
-            delivery.warn(_log, delivery.SENT, self.topic, shown(connection.stream.peer.name), error)
+            delivery_options.warn(
+                _log, delivery_options.SENT, self.topic, shown(connection.stream.peer.name), error
+            )
             return None
         if latch is not None and pieces is not None:
             latch.record(connection.guard, sample)

@@ -26,7 +26,7 @@ from rossec.net.aio import SecureStream
 from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.node.service_client import CALL_DEADLINE, HANDSHAKE_DEADLINE, ServiceClient, exchange_headers
-from rossec.participant import delivery, handshakes
+from rossec.participant import delivery_options, handshakes
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.message_types import Message, field_names
 from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
@@ -158,11 +158,15 @@ class Service:
         except errors.ServiceFailed as error:
             return tcpros.failure(str(error))
         except (errors.ServiceRefused, GrantError) as error:
-            delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), error)
+            delivery_options.warn(
+                _log, delivery_options.REFUSED, self.name, shown(connection.stream.peer.name), error
+            )
             return tcpros.failure(f"rossec: {error}")
         except TimeoutError:
             took = f"a call took more than {self._deadline:g} s"
-            delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), took)
+            delivery_options.warn(
+                _log, delivery_options.REFUSED, self.name, shown(connection.stream.peer.name), took
+            )
             return tcpros.failure("the service took too long")
 
     async def _handle(self, request: Message, caller: Identity) -> memoryview:

@@ -28,7 +28,7 @@ from rossec.net.aio import SecureStream
 from rossec.net.aio.stream import next_messages
 from rossec.net.limits import message_limit, unit_limit
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.participant import delivery
+from rossec.participant import delivery_options
 from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, from_header, guard_for, receiver_definition, size_of
@@ -57,9 +57,11 @@ class RequestedMessages:
     then messages are thinned out here, which spares the program and not the line.
     """
 
-    def __init__(self, asked: delivery.DeliveryOptions, taken: delivery.DeliveryOptions, limit: int) -> None:
+    def __init__(
+        self, asked: delivery_options.DeliveryOptions, taken: delivery_options.DeliveryOptions, limit: int
+    ) -> None:
         thins = asked.rate is not None and taken.rate is None
-        self._rate = delivery.RequestedRate(asked.rate) if asked.rate is not None and thins else None
+        self._rate = delivery_options.RequestedRate(asked.rate) if asked.rate is not None and thins else None
         self._deflated = taken.deflate
         self._limit = limit
         self._this_turn = 0  # bytes inflated since the loop had its turn
@@ -67,24 +69,24 @@ class RequestedMessages:
     async def inflated(self, content: bytes) -> bytes:
         if not self._deflated:
             return content
-        size = delivery.claimed_size(content, self._limit)
-        if size >= delivery.LARGE:
-            return await asyncio.to_thread(delivery.inflated, content, self._limit)
+        size = delivery_options.claimed_size(content, self._limit)
+        if size >= delivery_options.LARGE:
+            return await asyncio.to_thread(delivery_options.inflated, content, self._limit)
         self._this_turn += size
-        if self._this_turn >= delivery.LARGE:  # thousands of small bombs fit into one unit
+        if self._this_turn >= delivery_options.LARGE:  # thousands of small bombs fit into one unit
             self._this_turn = 0
             await asyncio.sleep(0)
-        return delivery.inflated(content, self._limit)
+        return delivery_options.inflated(content, self._limit)
 
     def admits(self) -> bool:
         return self._rate is None or self._rate.admits(monotonic())
 
 
 def requested_messages(
-    asked: delivery.DeliveryOptions, answer: Mapping[str, bytes], limit: int
+    asked: delivery_options.DeliveryOptions, answer: Mapping[str, bytes], limit: int
 ) -> RequestedMessages | None:
     """For a publisher with this answer; None: its messages come as they do without options."""
-    taken = delivery.accepted_options(answer, asked)
+    taken = delivery_options.accepted_options(answer, asked)
     if taken.deflate or taken.rate != asked.rate:
         return RequestedMessages(asked, taken, limit)
     return None
@@ -101,7 +103,7 @@ class Subscriber:
         memory_scope: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
-        options: delivery.DeliveryOptions = delivery.NO_OPTIONS,
+        options: delivery_options.DeliveryOptions = delivery_options.NO_OPTIONS,
     ) -> None:
         check_queue_size(queue_size)
         self.endpoint = endpoint
@@ -146,7 +148,9 @@ class Subscriber:
             try:
                 message = self.endpoint.type.deserialize(data)
             except MessageError as error:
-                delivery.warn(_log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error)
+                delivery_options.warn(
+                    _log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error
+                )
             else:
                 yield message
 
@@ -188,7 +192,7 @@ class Subscriber:
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
-                limit = self._longest + (delivery.OVERHEAD if self._options.deflate else 0)
+                limit = self._longest + (delivery_options.OVERHEAD if self._options.deflate else 0)
                 frames = tcpros.FrameReader(limit, first=tcpros.HEADER_LIMIT)
                 connection, answer, early = await self._handshake(stream, frames)
                 requested = requested_messages(self._options, answer, self._longest)
@@ -273,7 +277,7 @@ class Subscriber:
             try:
                 pieces = guard(message, now)
             except GrantError as error:
-                delivery.warn(_log, delivery.RECEIVED, shown(self.topic), peer, error)
+                delivery_options.warn(_log, delivery_options.RECEIVED, shown(self.topic), peer, error)
             else:
                 filtered += [] if pieces is None else [b"".join(pieces)]
         return filtered

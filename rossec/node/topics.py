@@ -12,7 +12,7 @@ from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import OnClose, RawReceiver, RawSubscriber, Subscriber
-from rossec.participant.delivery import NO_OPTIONS, DeliveryOptions
+from rossec.participant.delivery_options import NO_OPTIONS, DeliveryOptions
 from rossec.participant.handshakes import TopicEndpoint, refuse_offer
 from rossec.participant.registrations import PublisherGrace
 

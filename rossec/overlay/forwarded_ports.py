@@ -16,7 +16,7 @@ from rossec.errors import LinkCrowded, RelayRefused
 from rossec.host.local_ports import LocalPort, Loopback, PortAdmission, PortPool
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import ForwardedPort, PeerWay, Target
-from rossec.participant import delivery
+from rossec.participant import delivery_options
 
 LIMIT: Final = 4096
 _log = logging.getLogger("rossec.overlay")
@@ -110,7 +110,7 @@ class ForwardedPortTable:
         except HintedError as error:
             crowded = isinstance(error, LinkCrowded)  # one line for all that find no room
             where = "a connection" if crowded else f"{target.kind} {target.name}"
-            delivery.warn(_log, delivery.UNREACHED, where, target.peer, error)
+            delivery_options.warn(_log, delivery_options.UNREACHED, where, target.peer, error)
         finally:
             asyncio.get_running_loop().call_soon(self._close_idle)
 

@@ -29,7 +29,7 @@ from rossec.overlay.mux import Role, StreamTarget
 from rossec.overlay.streams import Pump, Streams
 from rossec.overlay.targets import LinkPeer as RemoteRelay
 from rossec.overlay.targets import Targets, TopicPorts
-from rossec.participant import delivery
+from rossec.participant import delivery_options
 from rossec.peer_limits import printable
 
 IDLE_FOR: Final = 300.0  # seconds without a stream, after which a link is closed
@@ -316,7 +316,7 @@ class Relay:
             self._admit(peer, stream)
         except HintedError as error:
             where = f"the inbox for {peer.label}"
-            delivery.warn(_audit, delivery.REFUSED, where, shown(stream.peer.name), error)
+            delivery_options.warn(_audit, delivery_options.REFUSED, where, shown(stream.peer.name), error)
             return
         remote = RemoteRelay(peer.domain or "", peer.name)
         dial = self._targets.dial_for(remote)

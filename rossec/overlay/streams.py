@@ -18,7 +18,7 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.transport import Transport
 from rossec.overlay import mux
-from rossec.participant import delivery
+from rossec.participant import delivery_options
 
 _KEEPALIVE: Final = (
     (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
@@ -255,7 +255,7 @@ class Streams:
                 sock = await self._dial(target, pump)
             pump.connect(sock)
         except (HintedError, OSError, TimeoutError) as error:
-            delivery.warn(_log, delivery.REFUSED, str(target), self._peer, error)
+            delivery_options.warn(_log, delivery_options.REFUSED, str(target), self._peer, error)
         finally:
             self._mux.connected(number)
             if not pump.connected:
@@ -289,7 +289,7 @@ class Streams:
             case mux.StreamOpened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
             case mux.OpeningRefused(_, target, reply):
-                delivery.warn(_log, delivery.REFUSED, str(target), self._peer, _CROWDED)
+                delivery_options.warn(_log, delivery_options.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
             case mux.Data(stream, payload) if pump := self._pumps.get(stream):
                 pump.arrived(payload)

@@ -23,7 +23,7 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream, connect
 from rossec.net.aio.server import Handler, SecureServer, serve
 from rossec.net.limits import ACCEPTED, PREAUTH_LIMIT
-from rossec.participant import authorized, definitions, delivery
+from rossec.participant import authorized, definitions, delivery_options
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable, serve_peer
 from rossec.ros import names, tcpros, xmlrpc
@@ -239,7 +239,7 @@ class Ingress:
                 elif after_request:
                     _log.warning("%s sends data where it subscribes", peer)
                 elif admitted.options:
-                    sender = delivery.DeliveryQueue(stream, admitted.options)
+                    sender = delivery_options.DeliveryQueue(stream, admitted.options)
                     if initial:
                         sender.enqueue(initial)
                     await pump.publish_by_options(program, stream, guard, after_answer, sender)

@@ -19,8 +19,8 @@ from rossec import clock
 from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
 from rossec.net.aio import SecureStream
 from rossec.net.aio.stream import next_messages
-from rossec.participant import delivery
-from rossec.participant.delivery import DeliveryQueue
+from rossec.participant import delivery_options
+from rossec.participant.delivery_options import DeliveryQueue
 from rossec.participant.handshakes import Fields
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
@@ -139,7 +139,7 @@ def filtered(guard: MessageGuard, message: bytes, peer: str, now: float) -> list
     try:
         return guard.apply(message, now) or []
     except GrantError as error:
-        delivery.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
+        delivery_options.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []
 
 

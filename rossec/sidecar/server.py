@@ -24,7 +24,7 @@ from rossec.home import NodeHome
 from rossec.host.callers import Callers
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 from rossec.net.rpc import serve_calls
 from rossec.participant import connections, host_types, membership, registrations, slave_api
 from rossec.participant.access import Access
@@ -275,7 +275,7 @@ class Sidecar:
     ) -> None:
         self._home, self._settings, self._callers = home, settings, callers
         self._each, self._suites, self._master_name = each, suites, master_name
-        self._half_open = HalfOpenCount(HalfOpen())
+        self._half_open = HalfOpenCount(HalfOpenLimits())
         self._agents: dict[str, Agent] = {}
         try:
             master = loopback_port.LoopbackPort(self._callers, self._serve, port)

@@ -16,7 +16,7 @@ from rossec.errors import ConnectionHeaderRefused, WireError
 from rossec.net.aio import SecureStream, connect
 from rossec.node import Subscriber
 from rossec.participant import handshakes
-from rossec.participant.delivery import deflated
+from rossec.participant.delivery_options import deflated
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader
 from tests.support.attacker import EVE, HOST, credentials, expect_refused, fields_for, send_header

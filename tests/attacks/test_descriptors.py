@@ -17,7 +17,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.enrollment.enroll import WaitingNode
 from rossec.errors import ChannelError
 from rossec.net.aio import connect
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant import connections
 from rossec.ros.names import parse_uri
@@ -32,7 +32,7 @@ from tests.support.victim import attacked, slave_port
 from tests.support.witness import until
 
 CONNECTIONS: Final = 600
-CAP: Final = HalfOpen().per_address
+CAP: Final = HalfOpenLimits().per_address
 OTHERS: Final = 60  # descriptors that come and go for other reasons
 FLOOD: Final = """
 import resource, socket, sys
@@ -157,7 +157,7 @@ async def test_silent_connections_from_many_addresses_are_limited(site: Site, pl
     async with place(site) as (port, protocol), watched() as most:
         async with flood(port, b"\x0c\0\0", *sources):
             await served(site, port, protocol)
-        assert most[0] <= HalfOpen().total + OTHERS
+        assert most[0] <= HalfOpenLimits().total + OTHERS
 
 
 @pytest.mark.attack("descriptors")

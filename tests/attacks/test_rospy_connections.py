@@ -19,7 +19,7 @@ from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.inprocess.process import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from rossec.net.rpc.calls import serve_calls
 from rossec.participant.access import FIELD
 from rossec.participant.message_types import message_type
@@ -161,7 +161,7 @@ async def raw(victim: Victim, data: bytes) -> bytes:
 @pytest.mark.parametrize("port", [lambda victim: victim.port, slave_port], ids=["topics", "api"])
 async def test_silent_connections_block_no_other(victim: Victim, port: Callable[[Victim], int]) -> None:
     """N8: stock rospy blocks after the first; here a new caller is served meanwhile."""
-    count = 2 * HalfOpen().per_address
+    count = 2 * HalfOpenLimits().per_address
     with contextlib.ExitStack() as stack:
         for _ in range(count):
             sock = await asyncio.to_thread(socket.create_connection, (HOST, port(victim)), 10)

@@ -20,7 +20,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.net.aio import connect
 from rossec.net.aio.client import dial
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from rossec.net.rpc.calls import RpcClient
 from rossec.sidecar import executor
 from rossec.sidecar.core.layers import local_endpoint
@@ -186,7 +186,7 @@ async def test_half_open_connections_are_limited_across_ports(near: Sidecar, rob
     for port in range(1, 4):
         agent.open_ingress(local_endpoint(WireProtocol.TCPROS, port))
     servers = tuple(agent._ingress.ports)
-    cap = HalfOpen().per_address
+    cap = HalfOpenLimits().per_address
     with contextlib.ExitStack() as stack:
         ports = [server.port for server in servers]
         await asyncio.to_thread(silent_connections, ports, cap // 2, stack)

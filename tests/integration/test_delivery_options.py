@@ -93,7 +93,7 @@ _WISHING: Final = """
 import asyncio, sys, time
 from rossec.channel.connection import Connection
 from rossec.node import Node, subscriber
-from rossec.participant.delivery import accepted_options
+from rossec.participant.delivery_options import accepted_options
 followed = subscriber.requested_messages
 def tell(asked, answer, limit):
     said = asked and accepted_options(answer, asked)

@@ -20,7 +20,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from rossec.channel.opening import REFUSAL, WireProtocol, first_bytes, http_refusal, tcpros_refusal
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from rossec.ros import tcpros
 from rossec.ros.names import parse_uri
 from tests.support import stock
@@ -236,7 +236,7 @@ async def test_slow_and_silent_peers_delay_no_other_peer(site: Site, witness: Wi
 
 async def test_a_flood_of_half_open_connections_leaves_none(site: Site, witness: Witness) -> None:
     """N8: more half-open connections than allowed per address; open ones are not affected."""
-    count = 2 * HalfOpen().per_address
+    count = 2 * HalfOpenLimits().per_address
     with contextlib.ExitStack() as stack:
         for _ in range(count):
             where = HOST, witness.topic_port

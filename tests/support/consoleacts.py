@@ -19,12 +19,12 @@ from ca.store.record import Store
 from ca.svid import build_request
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
-from rossec.authority.approvals import ApprovalQueue
 from rossec.authority.console.access import ConsoleAccess
-from rossec.authority.console.approving import Approving, Of
+from rossec.authority.console.approving import ApprovalDependencies, Approving
 from rossec.authority.console.grant_requests import Removals
 from rossec.authority.console.messages import ApprovalOutcome, Prepared, from_value
 from rossec.authority.console.serving import acts_of
+from rossec.authority.grant_queue import GrantRequestQueue
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
@@ -81,9 +81,9 @@ class Acts:
         """As a service that was restarted: what was in memory is gone."""
         self.work = AuthorityWork(self.root, self.operations, self.deliver, None, lambda: self.now)
         self.access = ConsoleAccess(self.work, self.write_audit, lambda: self.elapsed)
-        of = Of(self.work, self.write_audit, self.wake, self.access.counter)
+        needs = ApprovalDependencies(self.work, self.write_audit, self.wake, self.access.counter)
         acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS, lambda: self.elapsed)
-        self.approving = Approving(of, acts, lambda: self.elapsed)
+        self.approving = Approving(needs, acts, lambda: self.elapsed)
         self.removals = Removals(self.work, self.wake)
 
     def moved(self, root: Path, operations: KeyOperations | None = None) -> Self:
@@ -159,7 +159,7 @@ class Acts:
         rights = tuple(RequestedRight(Right.SUBSCRIBE, topic) for topic in topics or ("/pose",))
         asked = GrantRequest("home", name, self.now, secrets.token_bytes(16), rights, "to draw")
         policy = PolicyFile.read(self.work.policy_path())
-        with closing(ApprovalQueue(self.home, policy, self.now)) as queue:
+        with closing(GrantRequestQueue(self.home, policy, self.now)) as queue:
             queue.add_request(sign_request(signer, asked))
         return asked.id
 

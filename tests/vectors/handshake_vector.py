@@ -36,10 +36,10 @@ def handshake() -> Vectors:
 def exchange_messages() -> tuple[dict[str, bytes], EdhocExporter]:
     """The four messages, and the resulting exporter."""
     initiator, responder = Initiator(_party("alice")), Responder(_party("bob"))
-    message_1 = initiator.message_1()
-    message_2 = responder.message_1(message_1)
-    message_3, _ = initiator.message_2(message_2, NOW)
-    message_4, _ = responder.message_3(message_3, NOW)
+    message_1 = initiator.make_message_1()
+    message_2 = responder.on_message_1(message_1)
+    message_3, _ = initiator.on_message_2(message_2, NOW)
+    message_4, _ = responder.on_message_3(message_3, NOW)
     sent = (message_1, message_2, message_3, message_4)
     return {f"message_{n}": data for n, data in enumerate(sent, 1)}, initiator.exporter
 

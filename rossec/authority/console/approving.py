@@ -176,7 +176,7 @@ _PREPARING: Final = "preparing an approval"
 _log = logging.getLogger("rossec.authority.service")
 
 
-class Of(NamedTuple):
+class ApprovalDependencies(NamedTuple):
     """`audit`: writes a line. Raises `HintedError` if it cannot. `wake`: begins a round of the service,
     which tells the master. `counter`: of a passkey at its last login.
     """
@@ -193,10 +193,13 @@ class Approving:
     """
 
     def __init__(
-        self, of: Of, acts: Mapping[StatementKind, ApprovedAct], elapsed: clock.Seconds | None = None
+        self,
+        needs: ApprovalDependencies,
+        acts: Mapping[StatementKind, ApprovedAct],
+        elapsed: clock.Seconds | None = None,
     ) -> None:
-        self._of = of
-        self._work = of.work
+        self._needs = needs
+        self._work = needs.work
         self._acts = acts
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._statements = Statements(self._elapsed)
@@ -237,16 +240,16 @@ class Approving:
         self._ends[approval.id] = self._elapsed() + LIFETIME + WAITS
         # 2. The touch is verified and recorded, the act admitted and audited, together or not at all.
         with self._work.record() as store, store.transaction():
-            store.approvals.add(approval, self._of.counter(approval.passkey))
+            store.approvals.add(approval, self._needs.counter(approval.passkey))
             result = self._acts[shown.statement.kind].admit(store, approved)
             if result is not None:
                 store.approvals.end(approval.id, ApprovalState.DONE, result, at)
             # Last: where no line can be written, the transaction is undone.
-            self._of.audit(f"{self._named(store, approved)}: approved at the console")
+            self._needs.audit(f"{self._named(store, approved)}: approved at the console")
         # 3. What needs the key is carried out now, or when it is unlocked.
         if result is None:
             self._carry_out(approved)
-        self._of.wake()
+        self._needs.wake()
         return self.outcome(approval.id)
 
     def outcome(self, number: bytes) -> Value:

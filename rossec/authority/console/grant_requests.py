@@ -25,7 +25,7 @@ from grants.filters.compile import PRESETS
 from grants.model import ID_SIZE, Draft, Right
 from grants.policy.decision import Verdict
 from grants.policy.wanted import approve, limit, permissions, rule_ids
-from rossec.authority import approvals, invitations, signing
+from rossec.authority import grant_queue, invitations, signing
 from rossec.authority.console.approving import Approved, ApprovedAct, Wanted
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
@@ -85,8 +85,8 @@ class Questions:
                 views.append(QuestionAnswer(node, int(asked.right), asked.pattern, answer, reason, at))
         return to_value(tuple(views))
 
-    def _queue(self, file: PolicyFile) -> approvals.ApprovalQueue:
-        return approvals.ApprovalQueue(self._work.home(), file, self._work.now())
+    def _queue(self, file: PolicyFile) -> grant_queue.GrantRequestQueue:
+        return grant_queue.GrantRequestQueue(self._work.home(), file, self._work.now())
 
 
 def question_id(stored: StoredRequest) -> bytes:
@@ -102,16 +102,18 @@ def is_about(stored: StoredRequest, question: bytes) -> bool:
     return question in (stored.request.id, question_id(stored))
 
 
-def pending_of(queue: approvals.ApprovalQueue, question: bytes) -> list[approvals.PendingApproval]:
+def pending_of(
+    queue: grant_queue.GrantRequestQueue, question: bytes
+) -> list[grant_queue.PendingGrantRequest]:
     found = [each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed]
     if not found:
         raise StoreError(*_ANSWERED)
     return found
 
 
-def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> approvals.VerdictChange:
+def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> grant_queue.VerdictChange:
     """As `verdict_change`, for at most `seconds` with all renewals; 0: as asked."""
-    change = approvals.verdict_change(file, coarse or None, now, only_today=False)
+    change = grant_queue.verdict_change(file, coarse or None, now, only_today=False)
 
     def restrict(verdict: Verdict) -> Verdict:
         changed = change(verdict)
@@ -130,7 +132,7 @@ def _filters(file: PolicyFile, verdict: Verdict) -> list[str]:
     found = []
     for name in dict.fromkeys((*file.policy.filters, *PRESETS)):
         with contextlib.suppress(HintedError):  # it does not fit messages of this type
-            permissions(approvals.verdict_change(file, name, 0, only_today=False)(verdict))
+            permissions(grant_queue.verdict_change(file, name, 0, only_today=False)(verdict))
             found.append(name)
     return found
 
@@ -191,7 +193,7 @@ class GrantAct(ApprovedAct):
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = PolicyFile.read(self._policy, own=True)
         change = changed_by(file, coarse, seconds, now)
-        with closing(approvals.ApprovalQueue(service.home, file, now)) as queue:
+        with closing(grant_queue.GrantRequestQueue(service.home, file, now)) as queue:
             found = pending_of(queue, question)
             most = min(longest(each.verdict) for each in found)
             if seconds > most:  # what was approved is what is signed: it is not made shorter without a word
@@ -220,7 +222,7 @@ class GrantAct(ApprovedAct):
         for right in answer.rights:
             if right not in found:
                 raise StoreError(*_ANSWERED)
-            table.answer(found[right], approvals.GRANTED, approved.reason, approved.at)
+            table.answer(found[right], grant_queue.GRANTED, approved.reason, approved.at)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
@@ -296,7 +298,7 @@ class Removals:
             table = GrantRequestStore(store.database)
             found = [each for each in table.unanswered() if is_about(each, request)]
             for each in found:
-                table.answer(each, approvals.DENIED, why or "a person", at)
+                table.answer(each, grant_queue.DENIED, why or "a person", at)
             parts = {request, *map(question_id, table.find(request))}
             ended = [_end_about(store, StatementKind.GRANT, part, why, at) for part in sorted(parts)]
             if not found and not any(ended):

@@ -23,7 +23,7 @@ from ca.errors import HintedError
 from rossec import clock, peer_limits
 from rossec.authority.console import approved_acts, messages
 from rossec.authority.console.access import ConsoleAccess
-from rossec.authority.console.approving import ApprovedAct, Approving, Of
+from rossec.authority.console.approving import ApprovalDependencies, ApprovedAct, Approving
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
 from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries, stamp
@@ -247,8 +247,8 @@ class Console:
         operations.on_unlock = self.rounds.wake
         self.access = ConsoleAccess(work, operations.audit)
         self._network = network
-        of = Of(work, operations.audit, self.rounds.wake, self.access.counter)
-        self.approving = Approving(of, acts_of(work, self.access, join_address))
+        needs = ApprovalDependencies(work, operations.audit, self.rounds.wake, self.access.counter)
+        self.approving = Approving(needs, acts_of(work, self.access, join_address))
         self.rounds.add(self.approving.carry_out_waiting, first=True)
         self.master = MasterView(work, network.deliver if network else _fail, came_back=self.rounds.wake)
         self.service = ConsoleService(

@@ -213,7 +213,7 @@ class Initiator(EdhocPeer[PeerT]):
         c_i = C_I_X5T if config.request_x5t else config.c_i
         self._message_1 = messages.Message1(METHOD, suites, self._g_x, c_i).encode()
 
-    def message_1(self) -> bytes:
+    def make_message_1(self) -> bytes:
         return self._message_1
 
     @property
@@ -227,7 +227,7 @@ class Initiator(EdhocPeer[PeerT]):
             raise HandshakeFailed("no cipher suite in common with the peer")
         return Initiator(self.config, usable[0])
 
-    def message_2(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
+    def on_message_2(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
         # Processing of message_2 (section 5.3.3).
         # 1. Decode G_Y_CIPHERTEXT_2.
         body = messages.decode_bytes(data)
@@ -257,7 +257,7 @@ class Initiator(EdhocPeer[PeerT]):
         self._finish()
         return message_3, peer
 
-    def message_4(self, data: bytes) -> None:
+    def on_message_4(self, data: bytes) -> None:
         """Check message_4: the responder holds the same key (section 5.5.3)."""
         messages.decode_plaintext_4(self._open(KdfLabel.K_4, KdfLabel.IV_4, data))
         self._prk = GONE
@@ -266,7 +266,7 @@ class Initiator(EdhocPeer[PeerT]):
 
 
 class Responder(EdhocPeer[PeerT]):
-    def message_1(self, data: bytes) -> bytes:
+    def on_message_1(self, data: bytes) -> bytes:
         config = self.config
         # Processing of message_1 (section 5.2.3).
         # 1. Decode it.
@@ -302,7 +302,7 @@ class Responder(EdhocPeer[PeerT]):
         # 4. CIPHERTEXT_2, and G_Y before it.
         return bstr(g_y + _xor(plaintext, kdf(prk, KdfLabel.KEYSTREAM_2, th_2, len(plaintext))))
 
-    def message_3(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
+    def on_message_3(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
         """Check message_3; return message_4 and the authenticated initiator."""
         # Processing of message_3 (section 5.4.3): decrypt under TH_3, then as for message_2.
         plaintext = self._open(KdfLabel.K_3, KdfLabel.IV_3, data)

@@ -11,7 +11,7 @@ from typing import Final
 import click
 
 from rossec.gateway import MAX_RULES, TopicRule, rule
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 
 FROM: Final = "--from"
 RATE: Final = "--rate"

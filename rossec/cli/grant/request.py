@@ -13,8 +13,8 @@ from grants.policy.decision import restriction_lines
 from grants.request import GrantRequest, RequestedRight, grant_command, in_shell, sign_request
 from rossec import clock, files
 from rossec.authority import requests
-from rossec.authority.approvals import PendingApproval, verdict_change
 from rossec.authority.grant_operations import RefusedDeposit, SignedGrant, require_delivered
+from rossec.authority.grant_queue import PendingGrantRequest, verdict_change
 from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.authority.service import AuthorityService
 from rossec.cli.grant.sign import own_pattern, right_options
@@ -214,12 +214,12 @@ def _deliver(
     return ()
 
 
-def _right(item: PendingApproval) -> dict[str, object]:
+def _right(item: PendingGrantRequest) -> dict[str, object]:
     requested = item.stored.requested
     return {"right": requested.right.label, "name": requested.pattern}
 
 
-def _summary(item: PendingApproval) -> dict[str, object]:
+def _summary(item: PendingGrantRequest) -> dict[str, object]:
     stored = item.stored
     return {
         "request": stored.request.id.hex(),

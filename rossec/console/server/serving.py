@@ -22,17 +22,17 @@ from rossec.errors import PeerUserRefused
 from rossec.host import local_sockets
 from rossec.host.runner import TaskSet
 from rossec.net.aio.server import ACCEPT_PAUSE
-from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits, HalfOpenSlot
 
 HEAD_TIME: Final = 15.0  # seconds for a request's head, from the connection or the answer before
 MAX_HEAD: Final = 16 * 1024
 KEEP_ALIVE: Final = 10  # seconds between two requests
 PLACE: Final = "rossec.place"  # in a request's scope: the place of its connection
 _ACCEPTS_PER_TURN: Final = 16
-STRANGERS: Final = HalfOpen(per_address=64, total=256)  # a browser has six, and a page one for news
-SESSIONS: Final = HalfOpen(per_address=32, total=128)  # of one phone, or of one session to look
-OTHER_USERS: Final = HalfOpen(per_address=8, total=8)  # of this host; they are told, and no more
-PROXIES: Final = HalfOpen(per_address=256, total=256)  # at a unix socket, where all have no address
+STRANGERS: Final = HalfOpenLimits(per_address=64, total=256)  # a browser has six, and a page one for news
+SESSIONS: Final = HalfOpenLimits(per_address=32, total=128)  # of one phone, or of one session to look
+OTHER_USERS: Final = HalfOpenLimits(per_address=8, total=8)  # of this host; they are told, and no more
+PROXIES: Final = HalfOpenLimits(per_address=256, total=256)  # at a unix socket, where all have no address
 _HINT: Final = "open it in a browser of the user who started the console"
 _log = logging.getLogger("rossec.console")
 

@@ -13,10 +13,10 @@ from weakref import WeakKeyDictionary
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from rossec.errors import ConfigurationError
-from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits, HalfOpenSlot
 
 ADDRESS: Final = "127.0.0.1"
-_LIMIT: Final = HalfOpen(per_address=8, total=16)
+_LIMIT: Final = HalfOpenLimits(per_address=8, total=16)
 DEADLINE: Final = 5.0  # seconds for the loop to answer
 _COUNTERS: Final = {"calls": "Calls answered.", "denials": "Calls refused for want of a right."}
 _GAUGES: Final = {

@@ -40,7 +40,7 @@ from rossec.master.server.saved_state import DepositFile, ListFile, ParameterFil
 from rossec.master.state import imported_facts, imports, parameters
 from rossec.master.state.registry import Kind, Registry
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.limits import UNSHOWN_UNIT, HalfOpen, HalfOpenCount
+from rossec.net.limits import UNSHOWN_UNIT, HalfOpenCount, HalfOpenLimits
 from rossec.net.rpc import serve_calls
 from rossec.peer_limits import printable
 from rossec.ros.http import HEADERS_LIMIT
@@ -87,7 +87,7 @@ class MasterServer:
             known=KnownCertificates(),
             dial_limits={WireProtocol.HTTP: dialled},
             accept_limits={WireProtocol.HTTP: unshown},
-            half_open=HalfOpenCount(HalfOpen(limits.unfinished_per_address, limits.unfinished)),
+            half_open=HalfOpenCount(HalfOpenLimits(limits.unfinished_per_address, limits.unfinished)),
             renews=Identity.renews,
         )
         self.effects: Final = Effects(state, self.context)

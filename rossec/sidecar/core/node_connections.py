@@ -18,7 +18,7 @@ from grants.guard import Guard, MemoryScope
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConnectionHeaderRefused, HangUp
-from rossec.participant import definitions, delivery, handshakes, slave_api
+from rossec.participant import definitions, delivery_options, handshakes, slave_api
 from rossec.participant.access import FIELD, granted_name, wire_name
 from rossec.peer_limits import printable
 from rossec.ros import names, xmlrpc
@@ -254,7 +254,7 @@ class AdmittedConnection:
     guard: Guard | None  # filters each message before it is forwarded; None: bytes pass unchanged
     service: bool  # both directions carry data; else only from publisher to subscriber
     message_size: int | None = None  # of every message to a program, if it is fixed and known
-    options: delivery.DeliveryOptions = delivery.NO_OPTIONS  # of a peer that subscribes
+    options: delivery_options.DeliveryOptions = delivery_options.NO_OPTIONS  # of a peer that subscribes
     rebuild: Callable[[Decision], Guard | None] = unrestricted  # for another decision of the same peer
 
 
@@ -268,7 +268,7 @@ def admit_peer(
     now: int,
 ) -> layers.Layer[AdmittedConnection]:
     # 1. What is asked for, at the port for that; 2. the peer's right to it, before the program hears of it.
-    service, options = _is_service(fields), delivery.NO_OPTIONS
+    service, options = _is_service(fields), delivery_options.NO_OPTIONS
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
@@ -277,7 +277,7 @@ def admit_peer(
         target = local
     else:
         decision = handshakes.admit_subscriber(fields, peer, agent.access, now)
-        options = delivery.carried_out(delivery.requested_options(fields), decision)
+        options = delivery_options.carried_out(delivery_options.requested_options(fields), decision)
         target = yield from _request_topic(agent, local, fields, peer)
     # 3. The program's own answer, without what only peers may see; 4. the proof of this side, and the guard.
     event = yield layers.ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
@@ -296,7 +296,7 @@ def admit_peer(
     sent, program = definitions.from_header(answer), _program_name(arrived.fields)
 
     def guard_under(decision: Decision) -> Guard | None:
-        delivery.check_carried_out(options, decision)
+        delivery_options.check_carried_out(options, decision)
         if not decision.restrictions:
             return None
         kind = definitions.sender_definition(sent, decision, agent.known_types)
@@ -379,7 +379,7 @@ def connect_to_peer(
     request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
     arrived, peer = _from_peer((yield layers.ConnectPeer(remote, request)))
     decision = handshakes.admit_publisher(arrived.fields, peer, granted, own, agent.access, arrived.now)
-    delivery.accepted_options(arrived.fields, delivery.NO_OPTIONS)
+    delivery_options.accepted_options(arrived.fields, delivery_options.NO_OPTIONS)
     sent = definitions.from_header(arrived.fields)
     kind = definitions.receiver_definition(own, sent, decision, agent.known_types)
 
@@ -428,4 +428,4 @@ def _require_header(event: layers.Event) -> layers.HeaderArrived:
 
 
 def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
-    return {key: value for key, value in delivery.without_options(fields).items() if key != FIELD}
+    return {key: value for key, value in delivery_options.without_options(fields).items() if key != FIELD}

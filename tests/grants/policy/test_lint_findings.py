@@ -1,11 +1,11 @@
 """Codes are an interface: what is only form, and what a finding is for programs."""
 
-from grants.policy.lint_findings import FORM, LintFinding, Suggestion
+from grants.policy.lint_findings import HARMLESS_CODES, LintFinding, Suggestion
 from tests.grants.policy.lint_cases import CODES
 
 
 def test_what_is_only_form_is_no_leak() -> None:
-    assert CODES > FORM
+    assert CODES > HARMLESS_CODES
     assert not LintFinding(1, "no-reason", "m", "h").is_leak
     assert LintFinding(1, "no-rate", "m", "h").is_leak
 

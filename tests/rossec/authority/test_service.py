@@ -104,7 +104,7 @@ def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
 
 
 def test_neither_click_nor_asyncio_is_imported() -> None:
-    unwanted = "{'click', 'asyncio', 'rossec.authority.approvals'}"
+    unwanted = "{'click', 'asyncio', 'rossec.authority.grant_queue'}"
     program = f"import sys, rossec.authority.service; sys.exit(bool({unwanted} & set(sys.modules)))"
     subprocess.run([sys.executable, "-c", program], check=True)
 

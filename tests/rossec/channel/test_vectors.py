@@ -66,10 +66,10 @@ def test_suites(vector: dict[str, Any]) -> None:
     message = Message1(0, offered, share(length), b"\x00").encode()
     if "error" in vector:
         with pytest.raises(WrongSuite) as wrong:
-            responder.message_1(message)
+            responder.on_message_1(message)
         assert encode_error(2, suites_item(wrong.value.suites)).hex() == vector["error"]
         return
-    responder.message_1(message)
+    responder.on_message_1(message)
     assert responder.suite.number == vector["selected"]
 
 

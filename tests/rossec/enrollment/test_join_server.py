@@ -26,7 +26,7 @@ from ca.enrollment.messages import frame
 from ca.errors import RecordUnusable
 from rossec.enrollment import sessions
 from rossec.enrollment.join import MAX_OF_INVITATION, Admit, JoinServer
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from tests.support.joining import JoinSite, asked, fresh, issued
 from tests.support.pki import NOW
 
@@ -135,7 +135,7 @@ async def test_a_peer_that_leaves_is_no_trouble(home: JoinSite) -> None:
 
 
 async def test_the_open_sessions_of_an_address_are_bounded(home: JoinSite) -> None:
-    server = JoinServer(home.identity, home.admit, caps=HalfOpen(per_address=1, total=9))
+    server = JoinServer(home.identity, home.admit, caps=HalfOpenLimits(per_address=1, total=9))
     async with home.serving(server), connected(server) as first:
         first.says(write(Hello(bytes(32), fresh())))
         assert isinstance(await first.next(), Welcome)

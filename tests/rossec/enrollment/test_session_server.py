@@ -5,11 +5,11 @@ from contextlib import asynccontextmanager, suppress
 import pytest
 
 from rossec.enrollment.sessions import Serve, SessionServer
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from tests.support.witness import until
 
 HOST = "127.0.0.1"
-TWO = HalfOpen(per_address=2, total=8)
+TWO = HalfOpenLimits(per_address=2, total=8)
 
 
 async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
@@ -22,7 +22,7 @@ async def wait(reader: asyncio.StreamReader, *_: object) -> None:
 
 
 @asynccontextmanager
-async def listening(serve: Serve, caps: HalfOpen = TWO) -> AsyncIterator[SessionServer]:
+async def listening(serve: Serve, caps: HalfOpenLimits = TWO) -> AsyncIterator[SessionServer]:
     server = SessionServer(serve, caps)
     await server.listen(HOST, 0)
     try:

@@ -9,7 +9,7 @@ from rossec.gateway.rules import SourceCandidate, TopicRule
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import RawReceiver, RawSource
 from rossec.participant.definitions import Definition
-from rossec.participant.delivery import NO_OPTIONS, DeliveryOptions
+from rossec.participant.delivery_options import NO_OPTIONS, DeliveryOptions
 
 STRING = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
 INT8 = Definition("std_msgs/Int8", "27ffa0c9c4b8fb8492252bcad9e5c57b", "int8 data\n")

@@ -14,7 +14,7 @@ from rossec.gateway import gateway as module
 from rossec.gateway.gateway import Gateway, Obstacle, status
 from rossec.gateway.rules import TypeChanged, rule
 from rossec.participant.access import possible_names
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 from rossec.participant.registrations import WATCH_GRAPH, Retry
 from tests.rossec.gateway.doubles import INT8, Topics, source
 from tests.support.witness import until

@@ -2,7 +2,7 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.gateway.rules import TopicRule, covering, rule
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 
 SLOW = DeliveryOptions(rate=2)
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.gateway.rules import BATCH, Observed, SourceCandidate, TopicRule, chosen, observing, rule
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 from rossec.participant.registrations import Fact
 
 RULES = (rule("ada", "/robot/**", DeliveryOptions()), rule("ben", "/**", DeliveryOptions(rate=1)))

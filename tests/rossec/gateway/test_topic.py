@@ -11,7 +11,7 @@ from rossec.gateway import rules
 from rossec.gateway.gateway import ServedTopic
 from rossec.gateway.rules import GatewayPhase, SourceCandidate, TypeChanged
 from rossec.node.subscriber import RawSource
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 from tests.rossec.gateway.doubles import (
     INT8,
     STRING,

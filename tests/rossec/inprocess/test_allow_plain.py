@@ -12,7 +12,7 @@ from rossec.errors import ConfigurationError
 from rossec.host.addresses import source_for
 from rossec.inprocess.options import PlainPeers
 from rossec.inprocess.process import PEER_CONNECTIONS
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from rossec.ros import tcpros
 from rossec.ros.names import MASTER, parse_uri
 from tests.support import stock
@@ -121,7 +121,7 @@ async def exhaust(api: str, port: int) -> None:
     """N8: silent and aborted connections do not count for long; the others are limited."""
     port_of_api = int(api.rstrip("/").rpartition(":")[2])
     for where in (port_of_api, port):
-        for _ in range(2 * HalfOpen().per_address):
+        for _ in range(2 * HalfOpenLimits().per_address):
             with socket.create_connection((HERE, where)) as one:
                 one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     with xmlrpc.client.ServerProxy(api) as robot_api:

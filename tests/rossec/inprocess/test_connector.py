@@ -10,7 +10,7 @@ import pytest
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelError, IdentityRefused
 from rossec.inprocess.identity import Connector, LocalIdentity
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 from rossec.participant.connections import OwnAddresses
 from tests.support.secure_sockets import background
 from tests.support.site import Site
@@ -20,7 +20,7 @@ from tests.support.site import Site
 def robot(tmp_path: Path) -> LocalIdentity:
     """A node with room for one half-open connection."""
     robot = LocalIdentity(Site(tmp_path / "site").enroll("/robot"), "/robot")
-    robot.live_context = replace(robot.live_context, half_open=HalfOpenCount(HalfOpen(total=1)))
+    robot.live_context = replace(robot.live_context, half_open=HalfOpenCount(HalfOpenLimits(total=1)))
     return robot
 
 

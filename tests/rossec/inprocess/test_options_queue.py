@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from rossec.channel.tuning import UNSENT
-from rossec.participant import delivery
-from rossec.participant.delivery import LARGE, NO_OPTIONS, DeliveryOptions, deflated
+from rossec.participant import delivery_options
+from rossec.participant.delivery_options import LARGE, NO_OPTIONS, DeliveryOptions, deflated
 from tests.support.rosconnection import transport
 from tests.support.witness import until
 
@@ -86,7 +86,7 @@ async def test_a_message_is_deflated_once_for_all(size: int, monkeypatch: pytest
         calls.append(pieces)
         return deflated(pieces)
 
-    monkeypatch.setattr(delivery, "deflated", count)
+    monkeypatch.setattr(delivery_options, "deflated", count)
     many = [connection(DeliveryOptions(deflate=True)) for _ in range(3)]
     queues = [wish_queue.queue_for(made, 10) for made in many]
     for made in many:

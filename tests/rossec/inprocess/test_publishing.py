@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from grants.errors import GrantError
-from rossec.participant.delivery import Sample
+from rossec.participant.delivery_options import Sample
 from tests.rossec.net.test_forks import in_child
 from tests.support.rosconnection import transport
 

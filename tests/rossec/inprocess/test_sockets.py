@@ -15,7 +15,7 @@ from rossec.inprocess import identity, sockets
 from rossec.inprocess.identity import Connector, LocalIdentity
 from rossec.inprocess.options import PlainPeers
 from rossec.inprocess.sockets import RosSocket
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 from rossec.ros.tcpros import FrameReader, Framing
 from tests.rossec.inprocess.socket_pair import connected, owner
 from tests.support.secure_sockets import background
@@ -109,7 +109,7 @@ def test_a_socket_that_is_not_connected_raises(local_identity: LocalIdentity) ->
 
 def test_a_caller_over_the_limit_is_dropped(site: Site) -> None:
     robot = LocalIdentity(site.enroll("/robot"), "/robot")
-    robot.live_context = replace(robot.live_context, half_open=HalfOpenCount(HalfOpen(total=1)))
+    robot.live_context = replace(robot.live_context, half_open=HalfOpenCount(HalfOpenLimits(total=1)))
     sock = RosSocket(owner(robot), socket.socket())
     sock.bind(("127.0.0.1", 0))
     sock.listen()

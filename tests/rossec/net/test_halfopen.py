@@ -3,7 +3,7 @@
 import gc
 import socket
 
-from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits, HalfOpenSlot
 
 
 def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[HalfOpenSlot], list[str]]:
@@ -19,7 +19,7 @@ def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[HalfOpenSlot], li
 
 
 def test_a_slot_is_counted_until_it_is_released_once() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=1, total=2))
+    count = HalfOpenCount(HalfOpenLimits(per_address=1, total=2))
     (slot,), closed = taken(count, "a")
     assert count.admit("a") is None
     slot.linger()
@@ -32,7 +32,7 @@ def test_a_slot_is_counted_until_it_is_released_once() -> None:
 
 
 def test_the_longest_lingering_slot_of_a_source_is_evicted_first() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=3, total=9))
+    count = HalfOpenCount(HalfOpenLimits(per_address=3, total=9))
     (first, second, _), closed = taken(count, "a", "a", "a")
     second.linger()
     first.linger()
@@ -45,7 +45,7 @@ def test_the_longest_lingering_slot_of_a_source_is_evicted_first() -> None:
 
 
 def test_no_slot_is_evicted_for_a_source_at_its_cap() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=1, total=9))
+    count = HalfOpenCount(HalfOpenLimits(per_address=1, total=9))
     (other, _), closed = taken(count, "b", "a")
     other.linger()
     assert count.admit("a") is None
@@ -53,7 +53,7 @@ def test_no_slot_is_evicted_for_a_source_at_its_cap() -> None:
 
 
 def test_at_the_total_any_lingering_slot_is_evicted() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=3, total=3))
+    count = HalfOpenCount(HalfOpenLimits(per_address=3, total=3))
     (_, late, early), closed = taken(count, "a", "b", "c")
     early.linger()
     late.linger()
@@ -65,7 +65,7 @@ def test_at_the_total_any_lingering_slot_is_evicted() -> None:
 
 
 def test_without_lingering_slots_the_largest_source_loses_one() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=4, total=5))
+    count = HalfOpenCount(HalfOpenLimits(per_address=4, total=5))
     _, closed = taken(count, "b", "a", "a", "a", "b")
     assert count.admit("c") is not None
     assert closed == ["a-1"]
@@ -74,7 +74,7 @@ def test_without_lingering_slots_the_largest_source_loses_one() -> None:
 
 
 def test_a_slot_that_cannot_be_closed_is_not_evicted() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=2, total=2))
+    count = HalfOpenCount(HalfOpenLimits(per_address=2, total=2))
     slots = [count.admit("a"), count.admit("a")]
     for slot in slots:
         assert slot is not None
@@ -84,7 +84,7 @@ def test_a_slot_that_cannot_be_closed_is_not_evicted() -> None:
 
 
 def test_a_slot_is_released_when_its_socket_is_collected() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=1, total=1))
+    count = HalfOpenCount(HalfOpenLimits(per_address=1, total=1))
     slot = count.admit("a")
     assert slot is not None
     sock = socket.socket()
@@ -96,7 +96,7 @@ def test_a_slot_is_released_when_its_socket_is_collected() -> None:
 
 
 def test_addresses_of_one_network_are_one_source() -> None:
-    count = HalfOpenCount(HalfOpen(per_address=1, total=9))
+    count = HalfOpenCount(HalfOpenLimits(per_address=1, total=9))
     assert count.admit("2001:db8::1") is not None
     assert count.admit("2001:db8::2") is None
     assert count.admit("2001:db8:0:1::1") is not None

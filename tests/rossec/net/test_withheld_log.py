@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from rossec.errors import MessageError, WireError
-from rossec.participant import delivery
+from rossec.participant import delivery_options
 
 LOG = logging.getLogger("rossec.node")
 
@@ -27,7 +27,7 @@ def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def warn(cause: object, peer: str = "/eve", where: str = "/order") -> None:
-    delivery.warn(LOG, delivery.RECEIVED, where, peer, cause)
+    delivery_options.warn(LOG, delivery_options.RECEIVED, where, peer, cause)
 
 
 def test_a_cause_is_logged_once_in_a_minute(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
@@ -55,7 +55,7 @@ def test_other_causes_peers_and_places_are_logged(now: list[float], caplog: pyte
 
 def test_a_line_about_what_is_not_reached_has_the_hint(caplog: pytest.LogCaptureFixture) -> None:
     for peer, cause in (("a", MessageError("no", "100 % sure?")), ("b", MessageError("no"))):
-        delivery.warn(LOG, delivery.UNREACHED, "/map", peer, cause)
+        delivery_options.warn(LOG, delivery_options.UNREACHED, "/map", peer, cause)
     assert caplog.messages == ["/map: not connected to a: no (100 % sure?)", "/map: not connected to b: no"]
 
 

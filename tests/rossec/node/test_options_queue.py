@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from rossec.node.publisher import Pieces
-from rossec.participant import delivery
-from rossec.participant.delivery import LARGE, DeliveryOptions, DeliveryQueue, deflated
+from rossec.participant import delivery_options
+from rossec.participant.delivery_options import LARGE, DeliveryOptions, DeliveryQueue, deflated
 from tests.support.witness import until
 
 
@@ -51,7 +51,7 @@ def framed(content: bytes) -> bytes:
 
 async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(delivery, "monotonic", lambda: now)
+    monkeypatch.setattr(delivery_options, "monotonic", lambda: now)
     stream = Stream()
     async with running(stream, DeliveryOptions(1.0), size=100) as queue:
         for number in range(100):
@@ -103,7 +103,7 @@ async def test_a_message_that_is_replaced_is_never_deflated(monkeypatch: pytest.
         seen.append(b"".join(pieces))
         return deflated(pieces)
 
-    monkeypatch.setattr(delivery, "deflated", count)
+    monkeypatch.setattr(delivery_options, "deflated", count)
     stream = Stream()
     stream.line.clear()
     async with running(stream, DeliveryOptions(newest=True, deflate=True)) as queue:

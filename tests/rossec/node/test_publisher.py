@@ -11,7 +11,7 @@ from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
 from rossec.node.publisher import Publisher
 from rossec.participant.authorized import memory_scope
-from rossec.participant.delivery import DeliveryOptions, DeliveryQueue
+from rossec.participant.delivery_options import DeliveryOptions, DeliveryQueue
 from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.message_types import message_type
 

@@ -9,7 +9,7 @@ import pytest
 from rossec.errors import ConnectionHeaderRefused, WireError
 from rossec.node import subscriber as module
 from rossec.node.subscriber import RequestedMessages, requested_messages
-from rossec.participant.delivery import LARGE, NO_OPTIONS, DeliveryOptions, deflated
+from rossec.participant.delivery_options import LARGE, NO_OPTIONS, DeliveryOptions, deflated
 
 LIMIT = 1 << 20
 ALL = DeliveryOptions(5, newest=True, deflate=True)

@@ -10,7 +10,7 @@ from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.node import Node, Publisher, node
 from rossec.node import subscriber as subscribing
 from rossec.participant import handshakes
-from rossec.participant.delivery import NO_OPTIONS, DeliveryOptions, DeliveryQueue
+from rossec.participant.delivery_options import NO_OPTIONS, DeliveryOptions, DeliveryQueue
 from tests.support.site import Site
 from tests.support.witness import until
 

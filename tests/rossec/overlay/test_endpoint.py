@@ -11,7 +11,7 @@ import pytest
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelClosed, ConnectionTruncated, HandshakeTimeout, IdentityRefused, PeerRefused
 from rossec.net.aio import serve
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 from rossec.overlay import endpoint as endpoint_module
 from rossec.overlay.endpoint import OPENS_PER_SECOND, LinkListener, dial_link, idle_round_trip, stats_of
 from rossec.overlay.link_frames import (
@@ -174,7 +174,7 @@ async def test_so_many_frames_of_strangers_are_looked_at_a_second(monkeypatch: p
 
 
 async def test_unfinished_handshakes_of_a_inbox_are_limited(caplog: pytest.LogCaptureFixture) -> None:
-    caps = HalfOpenCount(HalfOpen(per_address=3))
+    caps = HalfOpenCount(HalfOpenLimits(per_address=3))
     async with listening(half_open=caps) as (memory, listener):
         good = await dial(memory)
         await good.send(b"x")

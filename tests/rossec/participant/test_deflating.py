@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import WireError
-from rossec.participant import delivery
-from rossec.participant.delivery import (
+from rossec.participant import delivery_options
+from rossec.participant.delivery_options import (
     LARGE,
     OVERHEAD,
     Deflatable,
@@ -113,7 +113,7 @@ def test_it_is_deflated_once_for_all_receivers(monkeypatch: pytest.MonkeyPatch) 
         calls.append(pieces)
         return deflated(pieces)
 
-    monkeypatch.setattr(delivery, "deflated", count)
+    monkeypatch.setattr(delivery_options, "deflated", count)
     shared, source, other = SharedDeflation(), object(), object()
     first = shared.of([TEXT], source)
     assert shared.of([TEXT], source) is first

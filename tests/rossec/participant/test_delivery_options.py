@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
-from rossec.participant.delivery import (
+from rossec.participant.delivery_options import (
     NO_OPTIONS,
     DeliveryOptions,
     accepted_options,

@@ -5,7 +5,7 @@ import struct
 from grants.decision import Decision
 from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
-from rossec.participant.delivery import Latch, Sample
+from rossec.participant.delivery_options import Latch, Sample
 
 NOW = 1_800_000_000
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.participant.delivery import RequestedRate
+from rossec.participant.delivery_options import RequestedRate
 
 
 def admitted(rate: float, every: float, seconds: float) -> int:

@@ -11,7 +11,7 @@ from rossec.errors import RossecError
 from rossec.net.aio.client import dial
 from rossec.net.rpc.calls import RpcClient
 from rossec.participant.access import FIELD
-from rossec.participant.delivery import DeliveryOptions, inflated
+from rossec.participant.delivery_options import DeliveryOptions, inflated
 from rossec.ros import tcpros
 from rossec.ros.names import parse_uri
 from rossec.sidecar.core.layers import ListeningAddress, local_endpoint

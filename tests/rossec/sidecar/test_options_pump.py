@@ -14,7 +14,7 @@ from grants.errors import GrantExpired
 from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, WireError
-from rossec.participant.delivery import LARGE, DeliveryOptions, DeliveryQueue, inflated
+from rossec.participant.delivery_options import LARGE, DeliveryOptions, DeliveryQueue, inflated
 from rossec.ros import tcpros
 from rossec.sidecar import pump
 from rossec.sidecar.core.guards import CopyTracker, MessageGuard

@@ -9,9 +9,9 @@ from grants.document import read_scope
 from grants.errors import PolicyRefused
 from grants.model import Right
 from grants.request import RequestedRight
-from rossec.authority.approvals import ApprovalQueue
 from rossec.authority.console.grant_requests import MAX_SECONDS, Questions, Removals, changed_by, pending_of
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer
+from rossec.authority.grant_queue import GrantRequestQueue
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consolework import NOW, ConsoleWork, ask, many
@@ -123,7 +123,7 @@ def test_a_policy_with_mistakes_is_refused(site: ConsoleWork, questions: Questio
 def test_changed_by_shortens_and_pending_of_finds_one(site: ConsoleWork) -> None:
     number = site.ask_for(site.enroll("/heating"), POSE)
     file = PolicyFile.read(site.work.policy_path())
-    queue = ApprovalQueue(site.home, file, NOW)
+    queue = GrantRequestQueue(site.home, file, NOW)
     queue.read_inbox()
     (found,) = pending_of(queue, number)
     assert changed_by(file, "", 0, NOW)(found.verdict).lifetime == 3600

@@ -70,14 +70,14 @@ def trace_config(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
 def test_trace_1_byte_for_byte() -> None:
     initiator = Initiator(trace_config("I", "Initiator's ephemeral private key"))
     responder = Responder(trace_config("R", "Responder's ephemeral private key"))
-    assert initiator.message_1() == value("message_1 (CBOR Sequence)")
-    message_2 = responder.message_1(initiator.message_1())
+    assert initiator.make_message_1() == value("message_1 (CBOR Sequence)")
+    message_2 = responder.on_message_1(initiator.make_message_1())
     assert message_2 == value("message_2 (CBOR Sequence)")
-    message_3, _ = initiator.message_2(message_2, NOW)
+    message_3, _ = initiator.on_message_2(message_2, NOW)
     assert message_3 == value("message_3 (CBOR Sequence)")
-    message_4, _ = responder.message_3(message_3, NOW)
+    message_4, _ = responder.on_message_3(message_3, NOW)
     assert message_4 == value("message_4 (CBOR Sequence)")
-    initiator.message_4(message_4)
+    initiator.on_message_4(message_4)
     exporter = initiator.exporter
     assert exporter == responder.exporter
     assert exporter.prk_out == value("PRK_out (Raw Value)")
@@ -113,10 +113,10 @@ def _decode(vector: dict[str, str], data: bytes) -> None:
     elif "low order" in vector["under"]:
         low_order = decode_message_1(data).g_x
         responder = Responder(EdhocConfig(BOB, trust, dice("r"), suites=(0,)))
-        responder.message_1(Message1(0, (0,), low_order, b"").encode())
+        responder.on_message_1(Message1(0, (0,), low_order, b"").encode())
     else:
         decode_message_1(data)
-        pair()[1].message_1(data)  # right structure, flawed P-256 key: no such suite here
+        pair()[1].on_message_1(data)  # right structure, flawed P-256 key: no such suite here
 
 
 # -- either side
@@ -133,11 +133,11 @@ def test_the_exporter_is_shared_and_comes_last() -> None:
     initiator, responder = pair()
     with pytest.raises(HandshakeFailed, match="not finished"):
         _ = responder.exporter
-    message_3, peer = initiator.message_2(responder.message_1(initiator.message_1()), NOW)
+    message_3, peer = initiator.on_message_2(responder.on_message_1(initiator.make_message_1()), NOW)
     assert peer.name == "/bob"
-    message_4, peer = responder.message_3(message_3, NOW)
+    message_4, peer = responder.on_message_3(message_3, NOW)
     assert peer.name == "/alice"
-    initiator.message_4(message_4)
+    initiator.on_message_4(message_4)
     assert initiator.exporter == responder.exporter
 
 
@@ -145,36 +145,36 @@ def test_the_exporter_is_shared_and_comes_last() -> None:
 def test_only_method_0_exists(method: int) -> None:
     message = Message1(method, (6,), bytes(range(32)), b"").encode()
     with pytest.raises(HandshakeFailed, match="method"):
-        pair()[1].message_1(message)
+        pair()[1].on_message_1(message)
 
 
 @pytest.mark.parametrize("length", [0, 31, 33, 64])
 def test_an_ephemeral_key_of_another_length(length: int) -> None:
     message = Message1(0, (6,), b"\x09" * length, b"").encode()
     with pytest.raises(HandshakeFailed, match="length"):
-        pair()[1].message_1(message)
+        pair()[1].on_message_1(message)
 
 
 @pytest.mark.parametrize("point", [bytes(32), b"\x01" + bytes(31)])
 def test_an_ephemeral_key_of_low_order(point: bytes) -> None:
     with pytest.raises(HandshakeFailed, match="not a usable point"):
-        pair()[1].message_1(Message1(0, (6,), point, b"").encode())
+        pair()[1].on_message_1(Message1(0, (6,), point, b"").encode())
     message_2 = encode(point + bytes(200))
     with pytest.raises(HandshakeFailed, match="not a usable point"):
-        pair()[0].message_2(message_2, NOW)
+        pair()[0].on_message_2(message_2, NOW)
 
 
 def test_ones_own_ephemeral_key_reflected() -> None:
     initiator, _ = pair()
-    g_x = decode_message_1(initiator.message_1()).g_x
+    g_x = decode_message_1(initiator.make_message_1()).g_x
     with pytest.raises(HandshakeFailed, match="reflects"):
-        initiator.message_2(encode(g_x + bytes(200)), NOW)
+        initiator.on_message_2(encode(g_x + bytes(200)), NOW)
 
 
 @pytest.mark.parametrize("length", [0, 31, 96, 8193])
 def test_message_2_of_a_wrong_length(length: int) -> None:
     with pytest.raises(HandshakeFailed, match="length"):
-        pair()[0].message_2(encode(b"\x09" * length), NOW)
+        pair()[0].on_message_2(encode(b"\x09" * length), NOW)
 
 
 def test_a_chain_that_does_not_fit_into_message_2() -> None:
@@ -183,7 +183,7 @@ def test_a_chain_that_does_not_fit_into_message_2() -> None:
     initiator, _ = pair()
     responder = Responder(EdhocConfig(heavy, trust, dice("r")))
     with pytest.raises(HandshakeFailed, match="too long") as caught:
-        responder.message_1(initiator.message_1())
+        responder.on_message_1(initiator.make_message_1())
     assert "8160" in caught.value.hint
 
 
@@ -197,16 +197,16 @@ def test_a_chain_of_two_travels_whole() -> None:
     two = type(BOB)(BOB.signer, (BOB.chain[0], b"intermediate"))
     initiator = Initiator(EdhocConfig(ALICE, remember, dice("i")))
     responder = Responder(EdhocConfig(two, trust, dice("r")))
-    initiator.message_2(responder.message_1(initiator.message_1()), NOW)
+    initiator.on_message_2(responder.on_message_1(initiator.make_message_1()), NOW)
     assert chains == [two.chain]
 
 
 def test_a_foreign_signature_is_refused() -> None:
     impostor = type(BOB)(ALICE.signer, BOB.chain)
     initiator, _ = pair()
-    message_2 = Responder(EdhocConfig(impostor, trust, dice("r"))).message_1(initiator.message_1())
+    message_2 = Responder(EdhocConfig(impostor, trust, dice("r"))).on_message_1(initiator.make_message_1())
     with pytest.raises(HandshakeFailed, match="signature does not verify"):
-        initiator.message_2(message_2, NOW)
+        initiator.on_message_2(message_2, NOW)
 
 
 def test_a_refused_certificate_keeps_its_reason_and_hint() -> None:
@@ -216,7 +216,7 @@ def test_a_refused_certificate_keeps_its_reason_and_hint() -> None:
     initiator = Initiator(EdhocConfig(ALICE, refuse, dice("i")))
     _, responder = pair()
     with pytest.raises(IdentityRefused, match="expired") as caught:
-        initiator.message_2(responder.message_1(initiator.message_1()), NOW)
+        initiator.on_message_2(responder.on_message_1(initiator.make_message_1()), NOW)
     assert caught.value.hint == "renew it"
 
 
@@ -224,21 +224,21 @@ def test_an_unknown_extension_is_ignored_and_covered_by_the_signature() -> None:
     ead = encode(40) + encode(b"value") + encode(0)
     initiator = Initiator(EdhocConfig(ALICE, trust, dice("i"), ead=ead))
     responder = Responder(EdhocConfig(BOB, trust, dice("r"), ead=ead))
-    message_3, _ = initiator.message_2(responder.message_1(initiator.message_1()), NOW)
-    message_4, _ = responder.message_3(message_3, NOW)
-    initiator.message_4(message_4)
+    message_3, _ = initiator.on_message_2(responder.on_message_1(initiator.make_message_1()), NOW)
+    message_4, _ = responder.on_message_3(message_3, NOW)
+    initiator.on_message_4(message_4)
 
 
 @pytest.mark.parametrize("ead", [encode(-40), encode(0) + encode(-1) + encode(b"value")])
 def test_a_critical_unknown_extension_ends_the_handshake(ead: bytes) -> None:
     initiator, responder = pair()
     with pytest.raises(HandshakeFailed, match="critical"):
-        responder.message_1(initiator.message_1() + ead)
+        responder.on_message_1(initiator.make_message_1() + ead)
     _, responder = pair()
     loud = Initiator(EdhocConfig(ALICE, trust, dice("i"), ead=ead))
-    message_3, _ = loud.message_2(responder.message_1(loud.message_1()), NOW)
+    message_3, _ = loud.on_message_2(responder.on_message_1(loud.make_message_1()), NOW)
     with pytest.raises(HandshakeFailed, match="critical"):
-        responder.message_3(message_3, NOW)
+        responder.on_message_3(message_3, NOW)
 
 
 # -- suites
@@ -258,14 +258,14 @@ def test_the_responder_insists_on_the_first_suite_it_uses(
 ) -> None:
     responder = Responder(EdhocConfig(BOB, trust, dice("r"), suites=supported))
     with pytest.raises(WrongSuite) as caught:
-        responder.message_1(Message1(0, offered, b"\x09" * 32, b"").encode())
+        responder.on_message_1(Message1(0, offered, b"\x09" * 32, b"").encode())
     assert caught.value.suites == answered
 
 
 def test_a_retry_has_the_whole_list_and_a_new_key() -> None:
     first = Initiator(EdhocConfig(ALICE, trust, dice("i"), suites=(4, 6)))
     second = first.after_wrong_suite((6,))
-    before, after = map(decode_message_1, (first.message_1(), second.message_1()))
+    before, after = map(decode_message_1, (first.make_message_1(), second.make_message_1()))
     assert before.suites == (4,)
     assert after.suites == (4, 6)
     assert before.g_x != after.g_x
@@ -300,10 +300,10 @@ def test_x25519_agrees_with_the_library() -> None:
 
 def test_a_second_message_2_is_refused() -> None:
     initiator, responder = pair()
-    message_2 = responder.message_1(initiator.message_1())
-    initiator.message_2(message_2, NOW)
+    message_2 = responder.on_message_1(initiator.make_message_1())
+    initiator.on_message_2(message_2, NOW)
     with pytest.raises(HandshakeFailed, match="second"):
-        initiator.message_2(message_2, NOW)
+        initiator.on_message_2(message_2, NOW)
 
 
 # -- every single bit
@@ -318,26 +318,26 @@ def flips(data: bytes) -> list[bytes]:
 
 
 def test_every_flipped_bit_of_message_1_fails_somewhere() -> None:
-    for message_1 in flips(pair()[0].message_1()):
+    for message_1 in flips(pair()[0].make_message_1()):
         initiator, responder = pair()
         with pytest.raises(HandshakeFailed):
-            initiator.message_2(responder.message_1(message_1), NOW)
+            initiator.on_message_2(responder.on_message_1(message_1), NOW)
 
 
 def test_every_flipped_bit_of_message_2_fails() -> None:
-    for index, message_2 in enumerate(flips(pair()[1].message_1(pair()[0].message_1()))):
+    for index, message_2 in enumerate(flips(pair()[1].on_message_1(pair()[0].make_message_1()))):
         initiator, _ = pair()
         with pytest.raises(HandshakeFailed):
-            pytest.fail(f"bit {index}: {initiator.message_2(message_2, NOW)}")
+            pytest.fail(f"bit {index}: {initiator.on_message_2(message_2, NOW)}")
 
 
 def test_every_flipped_bit_of_message_3_and_4_fails() -> None:
     initiator, responder = pair()
-    message_3, _ = initiator.message_2(responder.message_1(initiator.message_1()), NOW)
+    message_3, _ = initiator.on_message_2(responder.on_message_1(initiator.make_message_1()), NOW)
     for flipped in flips(message_3):
         with pytest.raises(HandshakeFailed):
-            responder.message_3(flipped, NOW)
-    message_4, _ = responder.message_3(message_3, NOW)
+            responder.on_message_3(flipped, NOW)
+    message_4, _ = responder.on_message_3(message_3, NOW)
     for flipped in flips(message_4):
         with pytest.raises(HandshakeFailed):
-            initiator.message_4(flipped)
+            initiator.on_message_4(flipped)

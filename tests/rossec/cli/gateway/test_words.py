@@ -4,7 +4,7 @@ import pytest
 from rossec.cli.gateway.words import split
 from rossec.errors import ConfigurationError
 from rossec.gateway.rules import TopicRule
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 
 
 def test_options_are_about_the_patterns_of_their_from() -> None:

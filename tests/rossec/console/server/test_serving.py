@@ -17,7 +17,7 @@ from rossec.console.server.serving import MAX_HEAD, PLACE, ConsoleServer
 from rossec.console.server.web import load_bundle, make_context
 from rossec.console.tls.certificates import key_pem
 from rossec.errors import PeerUserRefused
-from rossec.net.limits import HalfOpen
+from rossec.net.limits import HalfOpenLimits
 from tests.support.console_tls import NOW, new_authority, new_key, pem
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
@@ -105,7 +105,7 @@ async def test_what_cannot_be_read_is_not_answered(data: bytes) -> None:
 
 
 async def test_connections_are_bounded_for_one_address_and_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    for caps in (HalfOpen(per_address=2, total=9), HalfOpen(per_address=9, total=2)):
+    for caps in (HalfOpenLimits(per_address=2, total=9), HalfOpenLimits(per_address=9, total=2)):
         with monkeypatch.context() as patch:
             patch.setattr(places, "STRANGERS", caps)
             async with serving() as port:
@@ -196,8 +196,8 @@ async def test_other_users_of_the_host_take_no_place_from_its_owner(monkeypatch:
             raise PeerUserRefused("another user")
 
     monkeypatch.setattr(module, "check_peer", check)
-    monkeypatch.setattr(places, "STRANGERS", HalfOpen(per_address=2, total=2))
-    monkeypatch.setattr(places, "OTHER_USERS", HalfOpen(per_address=3, total=3))
+    monkeypatch.setattr(places, "STRANGERS", HalfOpenLimits(per_address=2, total=2))
+    monkeypatch.setattr(places, "OTHER_USERS", HalfOpenLimits(per_address=3, total=3))
     async with serving() as port:
         address = ("127.0.0.2", 0)
         many = [await asyncio.open_connection("127.0.0.1", port, local_addr=address) for _ in range(9)]

@@ -11,7 +11,7 @@ from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelError, HandshakeFailed
 from rossec.net.aio import serve
 from rossec.net.aio import server as accepted_module
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo, raw, still_works
 from tests.support.wire import BOB
@@ -64,8 +64,8 @@ async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
         await stream.close()
 
 
-@pytest.mark.parametrize("caps", [HalfOpen(per_address=3), HalfOpen(total=3)])
-async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
+@pytest.mark.parametrize("caps", [HalfOpenLimits(per_address=3), HalfOpenLimits(total=3)])
+async def test_half_open_caps_spare_the_others(caps: HalfOpenLimits) -> None:
     async with serve(echo, "127.0.0.1", 0, context(BOB, half_open=HalfOpenCount(caps))) as server:
         stream = await call(server)
         idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
@@ -83,7 +83,7 @@ async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
 
 
 async def test_the_ports_of_a_context_share_its_limit() -> None:
-    own = context(BOB, half_open=HalfOpenCount(HalfOpen(total=1)))
+    own = context(BOB, half_open=HalfOpenCount(HalfOpenLimits(total=1)))
     async with serve(echo, "127.0.0.1", 0, own) as one, serve(echo, "127.0.0.1", 0, own) as other:
         _, idle = await asyncio.open_connection("127.0.0.1", one.port)
         with pytest.raises(HandshakeFailed):
@@ -94,7 +94,7 @@ async def test_the_ports_of_a_context_share_its_limit() -> None:
 
 
 async def test_a_caller_that_closes_at_once_releases_its_slot(monkeypatch: pytest.MonkeyPatch) -> None:
-    only = HalfOpen(total=1)
+    only = HalfOpenLimits(total=1)
     async with serve(echo, "127.0.0.1", 0, context(BOB, half_open=HalfOpenCount(only))) as server:
         gone: list[str] = []
 

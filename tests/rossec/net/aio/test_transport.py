@@ -154,7 +154,7 @@ async def test_the_local_address_is_the_sockets() -> None:
     other.close()
 
 
-class HalfOpen(Recorder):
+class HalfOpenLimits(Recorder):
     """Goes on sending after the peer's end."""
 
     def eof_received(self) -> bool:
@@ -163,7 +163,7 @@ class HalfOpen(Recorder):
 
 
 async def test_an_owner_may_go_on_sending_after_the_peers_end() -> None:
-    transport, recorder, other = pair(HalfOpen())
+    transport, recorder, other = pair(HalfOpenLimits())
     other.shutdown(socket.SHUT_WR)
     await until(recorder, "eof")
     assert not transport.closed

@@ -13,7 +13,7 @@ import pytest
 from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelError, HandshakeTimeout, IdentityRefused, LimitExceeded, PeerRefused
-from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpenCount, HalfOpenLimits
 from rossec.net.threads import secure_socket
 from tests.support.contexts import context, live
 from tests.support.listener import SecureListener
@@ -106,7 +106,7 @@ def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_half_open_caps() -> None:
-    listener = make_listener(half_open=HalfOpenCount(HalfOpen(per_address=1)))
+    listener = make_listener(half_open=HalfOpenCount(HalfOpenLimits(per_address=1)))
     with listener, socket.create_connection(listener.getsockname()):
         held, _ = listener.accept()
         with socket.create_connection(listener.getsockname()) as refused:

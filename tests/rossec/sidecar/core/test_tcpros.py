@@ -9,7 +9,7 @@ from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
 from rossec.participant.authorized import memory_scope
-from rossec.participant.delivery import DeliveryOptions
+from rossec.participant.delivery_options import DeliveryOptions
 from rossec.participant.handshakes import Fields
 from rossec.participant.message_types import message_type
 from rossec.sidecar.core.layers import (

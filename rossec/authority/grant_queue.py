@@ -39,7 +39,7 @@ VerdictChange = Callable[[Verdict], Verdict]
 
 
 @dataclass(frozen=True)
-class PendingApproval:
+class PendingGrantRequest:
     """A requested right that waits for a person, or only for the key: see `verdict`."""
 
     stored: StoredRequest
@@ -56,7 +56,7 @@ class Denial(NamedTuple):
     reason: str
 
 
-class ApprovalQueue:
+class GrantRequestQueue:
     """`denied` are those that the last call of `pending` left out, each with the reason."""
 
     def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
@@ -96,12 +96,12 @@ class ApprovalQueue:
             path.unlink(missing_ok=True)
         return errors
 
-    def pending(self) -> list[PendingApproval]:
+    def pending(self) -> list[PendingGrantRequest]:
         with self._store.transaction():
             return self._decided()
 
-    def _decided(self) -> list[PendingApproval]:
-        approvals: list[PendingApproval] = []
+    def _decided(self) -> list[PendingGrantRequest]:
+        approvals: list[PendingGrantRequest] = []
         self.denied = []
         waiting = Counter[str]()
         unanswered = self._requests.unanswered()
@@ -133,10 +133,10 @@ class ApprovalQueue:
                     self._requests.answer(stored, DENIED, why, self._now)
                 self.denied.append(Denial(stored, why))
                 continue
-            approvals.append(PendingApproval(stored, verdict))
+            approvals.append(PendingGrantRequest(stored, verdict))
         return approvals
 
-    def chosen(self, beginning: str) -> list[PendingApproval]:
+    def chosen(self, beginning: str) -> list[PendingGrantRequest]:
         found = [
             item
             for item in self.pending()
@@ -148,13 +148,13 @@ class ApprovalQueue:
             raise ConfigurationError(f"{count} with {beginning!r}", hint)
         return found
 
-    def deny(self, approval: PendingApproval, reason: str) -> None:
+    def deny(self, approval: PendingGrantRequest, reason: str) -> None:
         self._requests.answer(approval.stored, DENIED, reason, self._now)
 
     def sign(
         self,
         authority: SigningAuthority,
-        approvals: Iterable[PendingApproval],
+        approvals: Iterable[PendingGrantRequest],
         change: VerdictChange,
         reason: str,
     ) -> SignedGrants:
@@ -171,7 +171,7 @@ class ApprovalQueue:
         return [(draft, data) for (draft, _), data in zip(made, signed, strict=True)]
 
     def sign_each(
-        self, authority: SigningAuthority, approvals: Iterable[PendingApproval], reason: str
+        self, authority: SigningAuthority, approvals: Iterable[PendingGrantRequest], reason: str
     ) -> tuple[SignedGrants, list[Denial]]:
         """Sign what the policy allows; what cannot be in a grant is denied alone, and returned."""
         # All together if that is possible, else each request alone, and of one each right.
@@ -195,7 +195,7 @@ class ApprovalQueue:
         return signed, refused
 
     def drafts(
-        self, domain: str, approvals: Iterable[PendingApproval], change: VerdictChange
+        self, domain: str, approvals: Iterable[PendingGrantRequest], change: VerdictChange
     ) -> list[tuple[Draft, str]]:
         """The grants to sign for the verdicts, modified by `change`."""
         # With the rules of those that the policy allows by itself.
@@ -224,8 +224,8 @@ class ApprovalQueue:
         return counts[stored.request.node] >= MAX_LATE
 
 
-def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
-    by_request: dict[bytes, list[PendingApproval]] = {}
+def _parts(approvals: list[PendingGrantRequest]) -> list[list[PendingGrantRequest]]:
+    by_request: dict[bytes, list[PendingGrantRequest]] = {}
     for item in approvals:
         by_request.setdefault(item.stored.request.id, []).append(item)
     return [*by_request.values()] if len(by_request) > 1 else [[item] for item in approvals]

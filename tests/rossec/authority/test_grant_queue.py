@@ -14,7 +14,7 @@ from grants.policy.model import Subject
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority import approvals as module
 from rossec.authority import requests
-from rossec.authority.approvals import ApprovalQueue, verdict_change
+from rossec.authority.grant_queue import GrantRequestQueue, verdict_change
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError
@@ -45,11 +45,11 @@ class Place:
         asked = GrantRequest("home", name, self.now, secrets.token_bytes(16), rights, "please")
         return sign_request(self.node.credentials().signer, asked)
 
-    def queue(self, later: int = 0) -> ApprovalQueue:
+    def queue(self, later: int = 0) -> GrantRequestQueue:
         path = self.root / "p.yaml"
         if not path.exists():
             path.write_text(POLICY)
-        return ApprovalQueue(self.home, PolicyFile.read(path), self.now + later)
+        return GrantRequestQueue(self.home, PolicyFile.read(path), self.now + later)
 
 
 @pytest.fixture
