@@ -140,7 +140,7 @@ def _when(access: ReceiverAccess) -> str:
 
 def leaf_paths(layout: Layout) -> list[str]:
     """The paths of the leaf fields, in the notation of filters; of so many at most."""
-    return list(layout.leaves())[:_MAX_LEAVES]
+    return list(layout.leaves(_MAX_LEAVES))
 
 
 def lines(found: Sequence[PrivacyRow]) -> list[str]:

@@ -67,6 +67,7 @@ _OWN: Final = b"rossec."
 _XML_OWN: Final = b"<methodName>" + _OWN
 _HEAD: Final = 256  # bytes of an XML body in which its method is named
 _METHOD_AT: Final = 4  # where it is in nearly every unit
+_ONE_BYTE: Final = 24  # then a number of 24 and above follows (RFC 8949 section 3)
 
 
 def dump_compact_call(turn: int, method: str, params: Sequence[object]) -> bytes:
@@ -355,6 +356,7 @@ class CallServer:
         # A call that shows grants may be longer, and one that hands in another signed statement. Which it is
         # must be known before it is parsed: parsing is what the bound spares the master.
         number = 0 if not self.is_compact else request[_METHOD_AT]
+        number = request[_METHOD_AT + 1] if number == _ONE_BYTE else number
         if not self.is_compact:
             has_statements = _XML_OWN in request[:_HEAD]
         elif number < len(METHODS):

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.home import AuthorityHome
-from rossec.discovery import local_links
 from tests.support.commands import PASSPHRASE, Shell
 from tests.support.discovered import Searches
 from tests.support.site import Site
@@ -45,5 +44,5 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
 def searches(monkeypatch: pytest.MonkeyPatch) -> Searches:
     """Masters are found at once, where nothing listens."""
     found = Searches()
-    monkeypatch.setattr(local_links, "discover_master", found.discover)
+    monkeypatch.setattr("rossec.discovery.discover_master", found.discover)
     return found

@@ -20,7 +20,7 @@ _RELAY: Final = {
 
 @click.group(cls=LazyGroup, table=_RELAY, invoke_without_command=True)
 @option(
-    "--bind=ADDRESS forwarded_ports",
+    "--bind=ADDRESS",
     "listen here for nodes of other hosts of this site; default: loopback, for this user",
     default="",
 )

@@ -31,7 +31,7 @@ from rossec.saved_statements import DomainFiles
 from rossec.terminal import note, printable, record, say, say_json, say_secret
 
 RELAY_SOCKET: Final = "admin.sock"
-_LISTED = "at the authority: rossec domain accept DESCRIPTOR; then the master has the list, and the relay"
+_LISTED = "at the authority: rossec domain accept BUNDLE; then the master has the list, and the relay"
 _Known = TypeVar("_Known", Peer, SiteSettings)
 pass_home = click.make_pass_decorator(RouterHome)
 
@@ -332,7 +332,7 @@ def add_site(
         raise ConfigurationError(
             f"{master} is the master of this host itself",
             "another one of this domain has another name: --name /master/kitchen;"
-            " that of another domain is followed once that is trusted: rossec domain accept DESCRIPTOR",
+            " that of another domain is followed once that is trusted: rossec domain accept BUNDLE",
         )
 
     def put(sites: dict[str, SiteSettings]) -> None:

@@ -165,13 +165,15 @@ class CallAnswers:
         # Answer a change that the watcher sees: the moment of another would tell of it.
         changes, loop = self._state.graph_changes, asyncio.get_running_loop()
         end = loop.time() + WATCH_WAIT
-        while True:
-            await changes.wait(max(0.0, end - loop.time()), expected=expected)
-            expected = changes.expect()
-            answer = await self._answer(call)
-            if loop.time() >= end or not _is_unchanged(call, answer):
-                changes.forget(expected)
-                return answer
+        try:
+            while True:
+                await changes.wait(max(0.0, end - loop.time()), expected=expected)
+                expected = changes.expect()
+                answer = await self._answer(call)
+                if loop.time() >= end or not _is_unchanged(call, answer):
+                    return answer
+        finally:  # also of a caller that was revoked meanwhile, or has gone
+            changes.forget(expected)
 
     async def _watch_grants(self, call: PendingCall) -> object:
         match await self._answer(call):

@@ -12,7 +12,7 @@ from grants.filters.compile import PRESETS
 from grants.model import Right
 from grants.policy.model import Subject
 from grants.request import GrantRequest, RequestedRight, sign_request
-from rossec.authority import approvals as module
+from rossec.authority import grant_queue as module
 from rossec.authority import requests
 from rossec.authority.grant_queue import GrantRequestQueue, verdict_change
 from rossec.authority.home import AuthorityHome

@@ -21,8 +21,8 @@ wish_queue = pytest.importorskip("rossec.inprocess.publishing")
 def connection(options: DeliveryOptions) -> Any:
     made = transport()
     made.socket.options = options
-    made.socket.options = []
-    made.socket.setsockopt = lambda *option: made.socket.options.append(option)
+    made.socket.set = []
+    made.socket.setsockopt = lambda *option: made.socket.set.append(option)
     return made
 
 
@@ -34,14 +34,14 @@ def sent(made: Any) -> bytes:
     return b"".join(made.socket.units)
 
 
-def test_only_a_subscriber_with_wishes_has_such_a_queue() -> None:
+def test_only_a_subscriber_with_options_has_such_a_queue() -> None:
     for options, kind in ((NO_OPTIONS, send_queue.SendQueue), (DeliveryOptions(5), wish_queue.OptionsQueue)):
         made = connection(options)
         queue = wish_queue.queue_for(made, 3)
         made.close()
         queue._thread.join(30)
         assert type(queue) is kind
-        assert made.socket.options == []
+        assert made.socket.set == []
 
 
 async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +71,7 @@ async def test_of_what_waits_only_the_newest_is_sent(newest: bool) -> None:
     made.socket.gate.set()
     if newest:
         await until(lambda: sent(made) == framed(b"first") + framed(b"49"))
-        assert made.socket.options == [(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)]
+        assert made.socket.set == [(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)]
     else:
         every = b"".join(framed(b"\0%02d" % number) for number in range(50))
         await until(lambda: sent(made) == framed(b"\0first") + every)

@@ -151,7 +151,7 @@ def test_a_gateway_waits_for_a_master_that_is_not_announced_yet(
             raise ConfigurationError("enough")
         return await Searches.discover(searches, *given, **more)
 
-    monkeypatch.setattr("rossec.discovery.local_links.discover_master", end_after_the_third)
+    monkeypatch.setattr("rossec.discovery.discover_master", end_after_the_third)
     environ = {**site.environ, "ROS_MASTER_URI": "discover:"}
     with pytest.raises(ConfigurationError, match="enough"):
         serve.run(Environment(environ), (), as_json=False)
