@@ -5,6 +5,7 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from itertools import count
 from typing import Any
+from xmlrpc.client import Fault
 
 import pytest
 
@@ -12,6 +13,7 @@ from grants.document import grant_id
 from rossec.errors import AnswerRefused
 from rossec.master.api.methods import TurnClock
 from rossec.master.rights.caller import NAMES_PER_YIELD
+from rossec.master.server.answers import CallAnswers, PendingCall
 from rossec.master.state.forwarded_ports import Target
 from tests.rossec.master.world import SlaveNode, T, World, ends, until
 from tests.support.caller import caller
@@ -118,6 +120,24 @@ async def test_what_changes_before_a_watcher_has_begun_to_wait_is_told(slow: Wor
     async with asyncio.timeout(4):  # a wait without a change takes five
         changes = await waiting
     assert ["publisher", "/t", "/robot"] in changes["added"]
+
+
+async def test_a_watcher_that_is_gone_or_refused_meanwhile_is_forgotten(
+    slow: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watcher, changes = await slow.node("/watcher"), slow.server.state.graph_changes
+    first = await watcher.ask("rossec.watchGraph", "", 0)
+
+    async def fails(self: CallAnswers, call: PendingCall) -> object:
+        raise Fault(1, "revoked meanwhile")
+
+    waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", first["instance"], first["cursor"]))
+    await until(lambda: len(changes) == 1)
+    monkeypatch.setattr(CallAnswers, "_answer", fails)
+    changes.notify()
+    with pytest.raises(Fault, match="revoked meanwhile"):
+        await waiting
+    assert len(changes) == 0
 
 
 async def test_a_relay_waits_until_something_is_wanted(slow: World) -> None:
