@@ -28,7 +28,7 @@ from tests.support.site import Site
 from tests.support.victim import COMMAND, TYPE, attacked
 from tests.support.witness import POSE, TOPIC, Witness, until
 
-pytestmark = pytest.mark.attack("lying-forwarded port")
+pytestmark = pytest.mark.attack("lying-forwarded-port")
 
 
 @contextlib.asynccontextmanager
