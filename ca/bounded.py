@@ -4,6 +4,7 @@ A table in which one owner's entries must not push out another's is `rossec.peer
 """
 
 from collections import OrderedDict
+from contextlib import suppress
 from typing import Generic, TypeVar
 
 K = TypeVar("K")
@@ -21,15 +22,18 @@ class Newest(OrderedDict[K, V]):
 
     def __setitem__(self, key: K, value: V) -> None:
         super().__setitem__(key, value)
-        self.move_to_end(key)
+        with suppress(KeyError):  # another thread's entries have pushed it out already
+            self.move_to_end(key)
         while len(self) > self._limit:
             self.popitem(last=False)
 
     def use(self, key: K) -> V | None:
         """The value; its entry is the newest again."""
-        if key in self:
+        try:
             self.move_to_end(key)
-        return self.get(key)
+            return self[key]
+        except KeyError:
+            return None
 
 
 class ExpiringTable(Generic[K, V]):

@@ -159,7 +159,7 @@ class Replay:
         # The columns are what commands look things up by: they say what was signed.
         said = (found.id, found.name, found.not_before, found.expires)
         _require(said == (row.id, row.name, row.not_before, row.expires), entry)
-        self._things = {id: known for id, known in self._things.items() if known.expires > entry.at}  # noqa: A001
+        self._things = {key: known for key, known in self._things.items() if known.expires > entry.at}
         for known in self._things.values():
             check_things_apart(known, found)
         self._things[row.id.hex()] = found

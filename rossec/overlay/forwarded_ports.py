@@ -93,13 +93,13 @@ class ForwardedPortTable:
         for target in [each for each in self.wanted if each.peer == peer]:
             for master in self.wanted.pop(target):
                 self._dropped.setdefault(master, set()).add(target)
-        for target in self._pool.keys():  # noqa: SIM118 - a pool iterates over its ports
+        for target in self._pool.keys():  # noqa: SIM118 - no dict: its keys are a copy - a pool iterates over its ports
             if target.peer == peer and (port := self._pool.remove(target)) is not None:
                 self._end(port)
 
     async def close(self) -> None:
         ports = {*self._pool, *self._leaving, *self._ending}
-        for target in self._pool.keys():  # noqa: SIM118
+        for target in self._pool.keys():  # noqa: SIM118 - no dict: its keys are a copy
             self._pool.remove(target)
         await asyncio.gather(*(port.close() for port in ports))
         await self._tasks.close()

@@ -212,7 +212,7 @@ async def test_it_forges_openings_that_are_answered_to_a_victim() -> None:
         assert await echoed(honest, MESSAGE) == MESSAGE
 
 
-async def test_it_floods_a_inbox_with_garbage() -> None:
+async def test_it_floods_an_inbox_with_garbage() -> None:
     dice = Random(7)
     async with called() as (router, bob):
         async with await dialled(router) as honest:

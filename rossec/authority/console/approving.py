@@ -73,15 +73,15 @@ class ApprovedAct(ABC):
     def prepare(self, service: AuthorityService, now: int, *arguments: Any, **_: Any) -> Wanted:
         """What the statement says, and its payload: all that it gives away; nothing is given yet."""
 
-    def admit(self, store: Store, approved: Approved) -> str | None:  # noqa: ARG002
+    def admit(self, store: Store, approved: Approved) -> str | None:  # noqa: ARG002 - of acts that override
         """In the transaction that records the approval, so of two approvals of one thing one is refused."""
         # Returns the result if it is done thereby; None: `carry_out` follows.
         return None
 
-    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:  # noqa: ARG002
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:  # noqa: ARG002 - as above
         raise AssertionError("done when it was approved")
 
-    def made(self, service: AuthorityService, approved: Approved) -> bytes:  # noqa: ARG002
+    def made(self, service: AuthorityService, approved: Approved) -> bytes:  # noqa: ARG002 - as above
         return b""
 
 

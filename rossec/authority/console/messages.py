@@ -18,7 +18,7 @@ from collections.abc import Callable, Coroutine, Iterable, Mapping
 from contextlib import suppress
 from itertools import chain
 from types import NoneType, UnionType
-from typing import Any, Final, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Final, NamedTuple, TypeVar, assert_never, get_args, get_origin, get_type_hints
 from urllib.parse import urlsplit
 
 from ca.approvals import statement as kinds
@@ -552,8 +552,10 @@ def sentence(statement: Statement, payload: bytes) -> str:
         case kinds.RevokeMaster(reason=reason, master=master):
             which = "the master" if master == MASTER else f"the master {master}"
             text = f"revocation of {which}" + f": {reason}" * bool(reason)
-        case _:
+        case kinds.ForeignDomainStatement():
             text = "another domain"
+        case unknown:  # a new kind must say itself what it is: nobody approves one under another's name
+            assert_never(unknown)
     return peer_limits.printable(text)
 
 

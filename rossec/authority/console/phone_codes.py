@@ -27,7 +27,7 @@ from rossec.peer_limits import SharedTable
 
 Random = Callable[[int], bytes]
 CHALLENGE_LIFETIME: Final = 300  # seconds
-MAX_USED: Final = 1024  # by passkeys of this authority, within `LIFETIME`; then they wait
+MAX_USED: Final = 1024  # by passkeys of this authority, within `CHALLENGE_LIFETIME`; then they wait
 _MAC: Final = 32  # bytes
 
 

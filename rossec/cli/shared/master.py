@@ -64,8 +64,7 @@ async def find_master(
     uri = _given(environment, master_uri)
     if uri != DISCOVER:
         return uri
-    # Imported where it is asked for.
-    from rossec.discovery import discover_master, trusted  # noqa: PLC0415
+    from rossec.discovery import discover_master, trusted  # noqa: PLC0415 - imported where it is asked for
 
     who = f"/{node.lstrip('/')}" if isinstance(node, str) else node
     # Kept for this command and no longer: a robot that moves would ask the wrong master (decision 0044).

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Awaitable, Callable, Collection, Iterable
 from typing import Final
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.names import shown
 from rossec.errors import AnswerRefused, ConnectionHeaderRefused, RossecError
@@ -219,6 +220,7 @@ class Updates:
 
 
 BATCH_DELAY: Final = 0.05
+ANSWERED: Final = 1024  # keys: 64 relays, and whoever was refused; one that is forgotten is answered at once
 
 
 class LongPolls:
@@ -233,7 +235,7 @@ class LongPolls:
         self._waiting: dict[bytes, list[asyncio.Event]] = {}
         self._version = -1
         self._changes = 0
-        self._answered: dict[bytes, int] = {}  # the changes so far, of those that ask by `missed`
+        self._answered: Newest[bytes, int] = Newest(ANSWERED)  # changes so far, of those that ask by `missed`
 
     def __len__(self) -> int:
         return sum(map(len, self._waiting.values()))

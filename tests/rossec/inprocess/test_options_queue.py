@@ -15,7 +15,7 @@ from tests.support.witness import until
 pytestmark = pytest.mark.ros
 
 send_queue = pytest.importorskip("rossec.inprocess.publishing")
-wish_queue = pytest.importorskip("rossec.inprocess.publishing")
+publishing = pytest.importorskip("rossec.inprocess.publishing")
 
 
 def connection(options: DeliveryOptions) -> Any:
@@ -35,9 +35,9 @@ def sent(made: Any) -> bytes:
 
 
 def test_only_a_subscriber_with_options_has_such_a_queue() -> None:
-    for options, kind in ((NO_OPTIONS, send_queue.SendQueue), (DeliveryOptions(5), wish_queue.OptionsQueue)):
+    for options, kind in ((NO_OPTIONS, send_queue.SendQueue), (DeliveryOptions(5), publishing.OptionsQueue)):
         made = connection(options)
-        queue = wish_queue.queue_for(made, 3)
+        queue = publishing.queue_for(made, 3)
         made.close()
         queue._thread.join(30)
         assert type(queue) is kind
@@ -46,9 +46,9 @@ def test_only_a_subscriber_with_options_has_such_a_queue() -> None:
 
 async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
     made = connection(DeliveryOptions(1.0))
-    queue = wish_queue.queue_for(made, 0)
+    queue = publishing.queue_for(made, 0)
     now = 0.0
-    monkeypatch.setattr(wish_queue.time, "monotonic", lambda: now)
+    monkeypatch.setattr(publishing.time, "monotonic", lambda: now)
     for number in range(40):
         now = number * 0.1
         queue.write_data(framed(b"%d" % number))
@@ -62,7 +62,7 @@ async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("newest", [True, False])
 async def test_of_what_waits_only_the_newest_is_sent(newest: bool) -> None:
     made = connection(DeliveryOptions(newest=newest, deflate=not newest))
-    queue = wish_queue.queue_for(made, 100)
+    queue = publishing.queue_for(made, 100)
     made.socket.gate.clear()
     queue.write_data(framed(b"first"))
     await until(lambda: not queue._waiting)
@@ -88,7 +88,7 @@ async def test_a_message_is_deflated_once_for_all(size: int, monkeypatch: pytest
 
     monkeypatch.setattr(delivery_options, "deflated", count)
     many = [connection(DeliveryOptions(deflate=True)) for _ in range(3)]
-    queues = [wish_queue.queue_for(made, 10) for made in many]
+    queues = [publishing.queue_for(made, 10) for made in many]
     for made in many:
         made.socket.gate.clear()
     content = bytes(size)
@@ -108,7 +108,7 @@ async def test_a_message_is_deflated_once_for_all(size: int, monkeypatch: pytest
 async def test_an_error_is_raised_by_the_next_call() -> None:
     exceptions = pytest.importorskip("rospy.exceptions")
     made = connection(DeliveryOptions(newest=True))
-    queue = wish_queue.queue_for(made, 1)
+    queue = publishing.queue_for(made, 1)
     made.socket.error = OSError("gone")
     queue.write_data(framed(b"one"))
     await until(lambda: queue._error is not None)

@@ -33,7 +33,7 @@ def test_accounts_come_and_go(accounts: Accounts) -> None:
 
 
 @pytest.mark.parametrize("name", ["open", "Home", ROUTER_USER, "a/b", "*", ""])
-def test_what_cannot_be_a_account(accounts: Accounts, name: str) -> None:
+def test_what_cannot_be_an_account(accounts: Accounts, name: str) -> None:
     with pytest.raises(ConfigurationError):
         accounts.add(name, HOME)
 
@@ -75,7 +75,7 @@ def test_the_users_of_zenoh(accounts: Accounts) -> None:
     ]
 
 
-def test_a_account_sends_to_all_and_reads_its_own(accounts: Accounts) -> None:
+def test_an_account_sends_to_all_and_reads_its_own(accounts: Accounts) -> None:
     control = accounts.access_control()
     assert control["default_permission"] == "deny"
     (subject,) = (each for each in control["subjects"] if each.get("usernames") == ["home"])

@@ -73,7 +73,7 @@ async def test_both_are_authenticated_and_bytes_pass() -> None:
         assert listener._links == {}
 
 
-async def test_answers_arrive_in_a_inbox_of_the_own_account() -> None:
+async def test_answers_arrive_in_an_inbox_of_the_own_account() -> None:
     async with listening() as (memory, _), await dial(memory):
         (answers,) = memory.readers.keys() - {KEY}
         assert is_inbox(answers)
@@ -173,7 +173,7 @@ async def test_so_many_frames_of_strangers_are_looked_at_a_second(monkeypatch: p
             assert await stream.receive() == b"x"
 
 
-async def test_unfinished_handshakes_of_a_inbox_are_limited(caplog: pytest.LogCaptureFixture) -> None:
+async def test_unfinished_handshakes_of_an_inbox_are_limited(caplog: pytest.LogCaptureFixture) -> None:
     caps = HalfOpenCount(HalfOpenLimits(per_address=3))
     async with listening(half_open=caps) as (memory, listener):
         good = await dial(memory)

@@ -14,7 +14,7 @@ from tests.support.site import Site
 BOX = inbox("open", bytes(range(16)))
 
 
-async def test_a_link_goes_from_a_inbox_to_who_reads_it(tmp_path: Path) -> None:
+async def test_a_link_goes_from_an_inbox_to_who_reads_it(tmp_path: Path) -> None:
     site = Site(tmp_path)
     names = ("/relay", "/relay/attic")
     homes = [site.enroll(name) for name in names]

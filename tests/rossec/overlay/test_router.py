@@ -101,7 +101,7 @@ def _secrets(home: RouterHome) -> tuple[str, str, str]:
     return found.account, found.password, found.root_certificate
 
 
-async def test_a_account_is_taken_over_and_given_up_while_it_runs(tmp_path: Path) -> None:
+async def test_an_account_is_taken_over_and_given_up_while_it_runs(tmp_path: Path) -> None:
     home = home_with(tmp_path / "a", "home")
     async with started(home), seated(home.account_file("home")) as alice:
         home.change_accounts(lambda found: found.add("clinic", PASSWORD))

@@ -61,7 +61,7 @@ def test_what_was_told_is_kept_until_it_is_told_otherwise(tmp_path: Path) -> Non
     assert home.settings() == found
 
 
-def test_a_account_file_has_what_a_relay_needs(home: RouterHome) -> None:
+def test_an_account_file_has_what_a_relay_needs(home: RouterHome) -> None:
     found = home.account_file("home")
     assert found.locators == home.settings().listen
     assert (found.account, found.password) == ("home", PASSWORD + "home")

@@ -18,7 +18,7 @@ def root() -> str:
     return RouterAuthority.create(key, now=NOW, serial=7).pem.decode()
 
 
-def test_a_account_file_is_read_as_it_was_written(root: str) -> None:
+def test_an_account_file_is_read_as_it_was_written(root: str) -> None:
     locators = ("tls/router.example.org:443", "quic/[2001:db8::1]:7447", *TCP)
     made = Routers(locators, "home", PASSWORD, root)
     assert Routers.read(made.write()) == made
@@ -54,7 +54,7 @@ def test_a_password_is_shown_nowhere(root: str) -> None:
         {"rossec-account": 2},
     ],
 )
-def test_a_account_file_with_anything_else_is_refused(root: str, change: dict[str, object]) -> None:
+def test_an_account_file_with_anything_else_is_refused(root: str, change: dict[str, object]) -> None:
     made = json.loads(Routers(("tls/a:1",), "home", PASSWORD, root).write())
     with pytest.raises(ConfigurationError):
         Routers.read(json.dumps(made | change).encode())
@@ -65,7 +65,7 @@ def test_two_certificates_are_not_one(root: str) -> None:
         Routers(("tls/a:1",), "home", PASSWORD, root + root)
 
 
-def test_a_account_file_of_many_bytes_is_refused() -> None:
+def test_an_account_file_of_many_bytes_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="at most"):
         Routers.read(b" " * 20000)
 
@@ -104,6 +104,6 @@ def test_a_locator_that_says_more_is_refused(locator: str) -> None:
 
 
 @pytest.mark.parametrize("account", ["", "A", "a" * 33, "a/b", "*", "**", "a-b", "@a", "a\n"])
-def test_a_account_that_could_reach_further_is_no_name(account: str) -> None:
+def test_an_account_that_could_reach_further_is_no_name(account: str) -> None:
     with pytest.raises(ConfigurationError, match="is not the name of an account"):
         check_account(account)

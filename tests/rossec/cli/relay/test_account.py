@@ -25,7 +25,7 @@ def test_the_account_file_is_kept(empty: Shell, tmp_path: Path) -> None:
     refused(empty("relay", "account", str(file)), "account file")
 
 
-def test_a_descriptor_without_a_account(empty: Shell) -> None:
+def test_a_descriptor_without_an_account(empty: Shell) -> None:
     Site(empty.root).enroll("/relay")
     refused(
         empty("relay", "descriptor", "x"), "/relay has no account at a router", "rossec relay account FILE"

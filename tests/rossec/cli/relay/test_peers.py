@@ -66,7 +66,7 @@ def test_descriptors_are_exchanged(empty: Shell, site: Site, tmp_path: Path) -> 
     assert json.loads(empty("relay", "descriptor", "office").out) != own
 
 
-def test_each_peer_has_a_inbox_of_its_own(empty: Shell, site: Site) -> None:
+def test_each_peer_has_an_inbox_of_its_own(empty: Shell, site: Site) -> None:
     one, other = (json.loads(empty("relay", "descriptor", each).out) for each in ("a", "b"))
     assert one["inbox"] != other["inbox"]
     assert site.enroll("/relay").path.joinpath("overlay.json").stat().st_mode & 0o777 == 0o600

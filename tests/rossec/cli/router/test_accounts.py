@@ -6,7 +6,7 @@ from tests.support.commands import Shell, refused
 HOST = ("--host", "router.example.org")
 
 
-def test_a_account_is_made_shown_listed_and_removed(empty: Shell) -> None:
+def test_an_account_is_made_shown_listed_and_removed(empty: Shell) -> None:
     made = empty("router", "accounts", "add", "home", *HOST)
     assert made.code == 0
     account = Routers.read(made.out.encode())

@@ -26,7 +26,7 @@ async def test_a_router_runs_until_it_is_told_to_end(short_path: Path) -> None:
     assert router.log.read_text() == ""
 
 
-def test_it_says_where_it_listens_and_who_has_a_account(empty: Shell) -> None:
+def test_it_says_where_it_listens_and_who_has_an_account(empty: Shell) -> None:
     listen = f"tls/127.0.0.1:{free_port()}"
     assert empty("router", "accounts", "add", "home", "--host", "127.0.0.1").code == 0
     words = "router", "--listen", listen, "--join", f"tls/127.0.0.1:{free_port()}"
