@@ -9,8 +9,10 @@ const MINUTE = 60_000;
 
 function isInUse() {
   const active = document.activeElement;
-  // A heading that got the focus when the page was loaded is read, not used.
-  return "busy" in document.body.dataset || Boolean(active?.matches("a, button, input, select, summary, textarea"));
+  // What went wrong is read, and a page that is loaded again no longer says it. A heading that got
+  // the focus when the page was loaded is read, not used.
+  if ("busy" in document.body.dataset || document.querySelector("[data-problem]:not([hidden])")) return true;
+  return Boolean(active?.matches("a, button, input, select, summary, textarea"));
 }
 
 function changed() {
@@ -93,6 +95,8 @@ if (main) {
   document.addEventListener("visibilitychange", () => (document.hidden ? stop() : start()));
   // A person who has left for another page must not be brought back by a reload of this one.
   addEventListener("beforeunload", stop);
+  // What is touched while the page is loaded again counts: the loading ends, not what was touched.
+  addEventListener("submit", () => { if (!news) { window.stop(); start(); } }, true);
   addEventListener("pagehide", stop);
   addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
   start();
