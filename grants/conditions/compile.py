@@ -9,11 +9,10 @@ import math
 import re
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, tzinfo
 from functools import lru_cache
 from operator import contains
-from typing import Final
+from typing import Final, TypeAlias
 
 from grants.conditions.syntax import (
     COMPARISONS,
@@ -69,9 +68,9 @@ _TIMESTAMP: Final = re.compile(
 
 def clock_field(name: str, zone: str) -> Callable[[int], int]:
     """The function from seconds since the epoch to the field `name` in `zone`."""
-    in_zone = _datetime_in(zone)
-    field = FIELDS[name]
-    return lambda now: field(in_zone(now))
+    info, field = _zone(zone), FIELDS[name]
+    # The last second is cached, since most messages share it.
+    return lru_cache(maxsize=1)(lambda now: field(datetime.fromtimestamp(now, info)))
 
 
 def parse_timestamp(text: str) -> int:
@@ -84,36 +83,22 @@ def parse_timestamp(text: str) -> int:
     raise ConditionRefused(f"not a time: {text[:40]!r}", "for example 2026-11-20T18:00:00Z")
 
 
-@lru_cache(maxsize=64)
-def _datetime_in(zone: str) -> Callable[[int], datetime]:
-    # Local time in a zone; the last second is cached, since most messages share it.
+def _zone(zone: str) -> tzinfo:
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError  # noqa: PLC0415 - 0.3 MB, few conditions need it
 
     # A name outside the database must not be used as a path.
     matched = _ZONE.fullmatch(zone)
     try:
-        info = ZoneInfo(zone if matched is not None else "")
+        return ZoneInfo(zone if matched is not None else "")
     except (ZoneInfoNotFoundError, ValueError, OSError):
         raise ConditionRefused(
             f"unknown time zone {zone[:40]!r}", "for example Europe/Zurich or UTC"
         ) from None
-    return lru_cache(maxsize=1)(lambda now: datetime.fromtimestamp(now, info))
 
 
-@dataclass(frozen=True)
-class Condition:
-    """A compiled condition. Calling it does not raise: an error is False."""
-
-    text: str
-    reads_message: bool
-    _evaluate: Callable[[Buffer, int], object]
-
-    def __call__(self, message: Buffer, now: int) -> bool:
-        """Whether `message` (serialized) is admitted at `now` (seconds since the epoch)."""
-        try:
-            return self._evaluate(message, now) is True
-        except _ERRORS:
-            return False
+# Whether a message (serialized) is admitted at a time (seconds since the epoch). Calling it does not raise:
+# an error is False.
+Condition: TypeAlias = Callable[[Buffer, int], bool]
 
 
 def check_syntax(text: str) -> None:
@@ -127,7 +112,7 @@ def compile_condition(layout: Layout | None, text: str) -> Condition:
     kind, code = compiler.compile(parse_expression(text))
     if kind != "bool":
         raise ConditionRefused(f"a condition must be true or false, this is a {kind}: {text}")
-    return Condition(text, bool(compiler.fields), compiler.finish(code))
+    return compiler.finish(code)
 
 
 class _Compiler:
@@ -136,12 +121,12 @@ class _Compiler:
         self._source = SourceWriter("b,now")
         self.fields: dict[tuple[str, ...], str] = {}
 
-    def finish(self, code: str) -> Callable[[Buffer, int], object]:
+    def finish(self, code: str) -> Condition:
         if self._layout is not None and self.fields:
             # All named fields are read first, so `false && error` denies where one of them cannot be read.
             _FieldReader(self._source, self.fields).read(self._layout.root)
         self._source.line(f"return {code}")
-        return self._source.compile()
+        return self._source.compile(_ERRORS, "return False")
 
     def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911 - one per node
         match node:

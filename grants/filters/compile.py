@@ -12,7 +12,7 @@ from typing import Final, TypeAlias
 from grants.errors import FilterRefused
 from grants.filters.coarsening import CommonState, FieldKey, HysteresisState
 from grants.filters.hashing import Keys
-from grants.filters.layout import LAYOUT_ERRORS, Array, Buffer, Layout, Struct, Type, layout_mismatch
+from grants.filters.layout import Array, Buffer, Layout, Struct, Type
 from grants.filters.message_rewriter import generate
 from grants.filters.operators import (
     AFTER_OTHERS,
@@ -31,22 +31,9 @@ from grants.filters.operators import (
 )
 from grants.model import FilterRule, Restriction, filter_rules
 
-_SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
-
-
-@dataclass(frozen=True)
-class Filter:
-    """A compiled filter for messages of one type."""
-
-    type_name: str
-    _rewrite: Callable[[Buffer], list[Buffer]]
-
-    def __call__(self, message: Buffer) -> list[Buffer]:
-        """Return the filtered message in pieces; kept parts of a large one are views into it."""
-        try:
-            return self._rewrite(message if len(message) < _SMALL else memoryview(message))
-        except LAYOUT_ERRORS:
-            raise layout_mismatch(self.type_name) from None
+# From a message to the filtered one in pieces; kept parts of a large one are views into it. A message that
+# does not have the layout is refused.
+Filter: TypeAlias = Callable[[Buffer], list[Buffer]]
 
 
 def compile_filter(
@@ -65,9 +52,9 @@ def compile_filter(
     find = states or CommonState().hysteresis
     first = _rewriter(layout, [rule for rule in given if rule not in last], keys, find)
     if not last:
-        return Filter(layout.type_name, first)
+        return first
     then = _rewriter(layout, last, keys, find)
-    return Filter(layout.type_name, lambda message: then(b"".join(first(message))))
+    return lambda message: then(b"".join(first(message)))
 
 
 def _rewriter(
@@ -75,11 +62,11 @@ def _rewriter(
     rules: Iterable[FilterRule],
     keys: Keys | None,
     states: Callable[[FieldKey], HysteresisState],
-) -> Callable[[Buffer], list[Buffer]]:
+) -> Filter:
     branch = _Branch({})
     for rule in rules:
         _insert(branch, rule, treatment_for(rule, keys))
-    return generate(_bind_hysteresis(_resolve(layout.root, branch, ""), states, ()))
+    return generate(_bind_hysteresis(_resolve(layout.root, branch, ""), states, ()), layout.type_name)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@
 
 The generated function returns the pieces of the new message in order, for scatter-gather sending: kept parts
 are slices of the message (an image is never copied), adjacent treated numbers go through one `struct` call,
-arrays of numbers and arrays of fixed-size messages through numpy, column by column in one copy. It raises one
-of `LAYOUT_ERRORS` if the message does not have the layout.
+arrays of numbers and arrays of fixed-size messages through numpy, column by column in one copy.
 """
 
 import struct
@@ -14,6 +13,7 @@ from typing import Any, Final
 
 from grants.filters.coarsening import Vector, np
 from grants.filters.layout import (
+    LAYOUT_ERRORS,
     Array,
     Buffer,
     Cursor,
@@ -23,6 +23,7 @@ from grants.filters.layout import (
     Struct,
     Type,
     expression,
+    layout_mismatch,
 )
 from grants.filters.operators import (
     ArrayTreatment,
@@ -217,8 +218,13 @@ _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper withou
 MIN_COLLECTED: Final = 24  # elements from which numpy is faster
 
 
-def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
+SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
+
+
+def generate(node: Node, type_name: str) -> Callable[[Buffer], list[Buffer]]:
+    """The function; a message that is not a `type_name` is refused (`MessageRefused`)."""
     source = SourceWriter("b")
+    source.line(f"if len(b)>={SMALL}: b={source.bind(memoryview)}(b)")
     writer = _Writer(source)
     writer.write(node)
     pieces = writer.finish()
@@ -230,7 +236,9 @@ def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
         limit = source.bind(lambda made: made if len(made) <= MAX_PIECES else [b"".join(made)])
         result = f"{limit}({result})"
     source.line(f"return {result}")
-    return source.compile()
+    return source.compile(
+        LAYOUT_ERRORS, f"raise {source.bind(partial(layout_mismatch, type_name))}() from None"
+    )
 
 
 @dataclass

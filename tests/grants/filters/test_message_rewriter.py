@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 
+from grants.errors import MessageRefused
 from grants.filters.compile import compile_filter
-from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct, Text
+from grants.filters.layout import PRIMITIVES, Array, Struct, Text
 from grants.filters.message_rewriter import generate
 from grants.filters.operators import (
     ArrayTreatment,
@@ -37,7 +38,7 @@ def struct_of(*nodes: Node) -> StructTreatment:
 
 
 def rewrite(node: Node, message: bytes) -> bytes:
-    return b"".join(generate(node)(message))
+    return b"".join(generate(node, "t/T")(message))
 
 
 def test_adjacent_values_are_one_piece() -> None:
@@ -47,13 +48,13 @@ def test_adjacent_values_are_one_piece() -> None:
         Keep(INT),
         FieldTreatment(INT, ADD),
     )
-    pieces = generate(node)(ints(1, 2, 3, 4, 5))
+    pieces = generate(node, "t/T")(ints(1, 2, 3, 4, 5))
     assert pieces == [ints(2, 3) + b"wxyz", ints(4), ints(6)]
 
 
 def test_adjacent_constants_are_one_piece() -> None:
     node = struct_of(FieldTreatment(INT, Constant(b"abcd")), FieldTreatment(INT, Constant(b"efgh")))
-    assert generate(node)(ints(1, 2)) == [b"abcdefgh"]
+    assert generate(node, "t/T")(ints(1, 2)) == [b"abcdefgh"]
 
 
 def test_a_time_is_treated_as_two_values() -> None:
@@ -102,7 +103,7 @@ def test_arrays_of_fixed_size_elements(count: int) -> None:
     assert rewrite(table(None), before) == after
     assert rewrite(table(count or 1), before[4:] or ints(1, 2, 3, 4, 5, 6, 7))
     for end in range(len(before)):
-        with pytest.raises(LAYOUT_ERRORS):
+        with pytest.raises(MessageRefused, match="not a t/T"):
             rewrite(table(None), before[:end])
 
 

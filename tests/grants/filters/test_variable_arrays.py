@@ -4,8 +4,9 @@ import struct
 
 import pytest
 
+from grants.errors import MessageRefused
 from grants.filters import message_rewriter
-from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct, Text
+from grants.filters.layout import PRIMITIVES, Array, Struct, Text
 from grants.filters.message_rewriter import generate, preserves_sizes
 from grants.filters.operators import (
     ArrayTreatment,
@@ -71,29 +72,29 @@ def test_a_collected_array_equals_one_by_one(count: int, monkeypatch: pytest.Mon
     node = struct_of(ArrayTreatment(Array(ELEMENT.kind, None), ELEMENT), Keep(INT))
     assert preserves_sizes(ELEMENT)
     expected = message(count, treated=True)
-    assert b"".join(generate(node)(message(count, treated=False))) == expected
+    assert b"".join(generate(node, "t/T")(message(count, treated=False))) == expected
     for border in (0, 1 << 32):
         monkeypatch.setattr(message_rewriter, "MIN_COLLECTED", border)
-        assert b"".join(generate(node)(message(count, treated=False))) == expected
+        assert b"".join(generate(node, "t/T")(message(count, treated=False))) == expected
 
 
 def test_a_collected_array_is_one_piece() -> None:
     node = ArrayTreatment(Array(ELEMENT.kind, None), ELEMENT)
-    pieces = generate(node)(message(30, treated=False)[:-4])
+    pieces = generate(node, "t/T")(message(30, treated=False)[:-4])
     assert [len(piece) > 0 for piece in pieces] == [True, False]
 
 
 def test_a_collected_array_of_fixed_length() -> None:
     node = ArrayTreatment(Array(INNER.kind, 40), INNER)
     before, after = ((text("ab") + ints(n)) * 40 for n in (1, 2))
-    assert b"".join(generate(node)(before)) == after
+    assert b"".join(generate(node, "t/T")(before)) == after
 
 
 def test_truncated_and_extended_messages_are_refused() -> None:
     node = ArrayTreatment(Array(ELEMENT.kind, None), ELEMENT)
-    generated, whole = generate(node), message(26, treated=False)[:-4]
+    generated, whole = generate(node, "t/T"), message(26, treated=False)[:-4]
     for damaged in [*(whole[:end] for end in range(len(whole))), whole + b"\0"]:
-        with pytest.raises(LAYOUT_ERRORS):
+        with pytest.raises(MessageRefused, match="not a t/T"):
             generated(damaged)
 
 
@@ -101,8 +102,8 @@ def test_a_last_value_beyond_the_end_is_refused() -> None:
     """Its position is recorded before the message is known to be too short."""
     kind = struct_of(Keep(Text()), FieldTreatment(INT, ADD))
     short = (24).to_bytes(4, "little") + (text("a") + ints(1)) * 23 + text("a") + b"\0"
-    with pytest.raises(LAYOUT_ERRORS):
-        generate(ArrayTreatment(Array(kind.kind, None), kind))(short)
+    with pytest.raises(MessageRefused, match="not a t/T"):
+        generate(ArrayTreatment(Array(kind.kind, None), kind), "t/T")(short)
 
 
 @pytest.mark.parametrize(
