@@ -101,6 +101,10 @@ class SendQueue:
         self._thread = Thread(target=self._run, name="rossec send queue")
         self._thread.start()
 
+    @property
+    def socket(self) -> Any:  # read for each message: by `__getattr__` it would cost as much as the rest of `_send`
+        return self._connection.socket
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
@@ -185,16 +189,18 @@ def write(transport: Any, messages: list[Pieces]) -> None:
     """Send messages as one unit over a transport of rospy's."""
     sock = _socket(transport)
     pieces: list[Bytes] = []
-    for each in messages:
-        pieces += [each] if isinstance(each, bytes) else each
     try:
         match messages:
             case [bytes() as message] if len(message) > SEPARATE_UNIT:  # its receiver need not copy it then
+                pieces = [message]
                 sock.send_unit(message[: LENGTH.size])
                 sock.send_unit(memoryview(message)[LENGTH.size :])
             case [_, _, *_] if all(isinstance(each, bytes) for each in messages):
-                sock.send_unit(b"".join(pieces))
+                pieces = [b"".join(messages)]  # type: ignore[arg-type]  # all are bytes
+                sock.send_unit(*pieces)
             case _:
+                for each in messages:
+                    pieces += [each] if isinstance(each, bytes) else each
                 sock.send_unit(*pieces)
         transport.stat_bytes += sum(map(len, pieces))
     except (HintedError, OSError) as error:
