@@ -77,13 +77,16 @@ def _jpeg(frame: Image.Image) -> bytes:
 
 
 def _again_if_overtaken(navigate: Callable[[], object]) -> None:
-    """Go to a page; twice, if the old one loaded itself again just then."""
-    try:
-        navigate()
-    except Error as error:
-        if not any(reason in str(error) for reason in _OVERTAKEN):
-            raise
-        navigate()
+    """Go to a page; again, if the old one loads itself again just then, which it does for each change."""
+    end = time.monotonic() + WAIT_MS / 1000
+    while True:
+        try:
+            navigate()
+        except Error as error:
+            if time.monotonic() > end or not any(reason in str(error) for reason in _OVERTAKEN):
+                raise
+        else:
+            return
 
 
 class Window:
