@@ -18,7 +18,7 @@ from ca import bounded, certificates, names, svid
 from ca.approvals import statement
 from ca.approvals.passkeys import to_approve
 from ca.authority import MAX_LIFETIME
-from ca.errors import ApprovalRefused, HintedError, RequestClosed, StoreError
+from ca.errors import ApprovalRefused, HintedError, StoreError
 from ca.keys.signing import thumbprint
 from ca.store import log, values
 from ca.store.record import CertificateRow, Store
@@ -91,9 +91,9 @@ class EnrollAct(ApprovedAct):
                 if row is None or expired or row.state is not values.RequestState.APPROVED:
                     state = "has expired" if row is None or expired else f"was {row.state}"
                     because = "" if row is None or expired or not row.reason else f": {row.reason}"
-                    raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
+                    raise StoreError(f"the request of {what.name} {state}{because}", "ask the node again")
                 if (row.wildcard, row.replaces) != (what.wildcard, what.replaces):
-                    raise RequestClosed(f"the request of {what.name} was approved otherwise", "look at it")
+                    raise StoreError(f"the request of {what.name} was approved otherwise", "look at it")
             # 2. The identity and the end of the approval, together.
             authority.issue(approved.payload, now, what.lifetime, replace_key=key, wildcard=what.wildcard)
             approved.conclude(store, f"{what.name} is enrolled", now)
@@ -147,7 +147,7 @@ def _approve(store: Store, what: statement.Enroll, at: int, reason: str) -> None
         store.identities.check_not_revoked(what.name, what.key)
         return
     if store.requests.find(what.csr) is None:
-        raise RequestClosed("the request has expired", "make a new request on the node")
+        raise StoreError("the request has expired", "make a new request on the node")
     replaced = what.name if what.replaces else None
     store.requests.approve(what.csr, at, reason, replace_key=replaced, wildcard=what.wildcard)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.approvals.statement import Statement, StatementKind
-from ca.errors import ApprovalOver, ApprovalRefused, RequestClosed
+from ca.errors import ApprovalOver, ApprovalRefused, StoreError
 from rossec.authority.console.approving import KINDS, WAITS
 from rossec.authority.console.messages import PREPARED
 from rossec.errors import KeyServiceRefused
@@ -162,7 +162,7 @@ def test_what_is_refused_at_once_is_not_recorded(acts: Acts) -> None:
     again = acts.asks("/other", csr=(other := acts.csr("/other")))
     twice = acts.asks("/other", csr=other)
     assert acts.touch(again).state == "waiting"
-    with pytest.raises(RequestClosed, match="approved and cannot be approved"):
+    with pytest.raises(StoreError, match="approved and cannot be approved"):
         acts.touch(twice)
     with acts.store() as store:
         assert len(store.approvals.all()) == 2
