@@ -160,7 +160,7 @@ class Identity:
     """The identity in a verified certificate. Times are inclusive, in seconds.
 
     For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
-    comparison of names can take it for a node of the own domain (`ca.domains.trust` sets that).
+    comparison of names can take it for a node of the own domain (`ca.domains` sets that).
     """
 
     domain: str

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import (
     CertificateRefused,
     ClocksDisagree,

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import DomainsRefused, NotAdmitted, RevocationRefused, RevocationsStale, Revoked
 from ca.keys.signing import to_coordinates
 from ca.revocation.lists import digest
