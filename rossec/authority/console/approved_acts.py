@@ -26,7 +26,7 @@ from grants.model import ID_SIZE
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
 from rossec import clock, peer_limits
 from rossec.authority import renewals
-from rossec.authority.console import access, grant_requests, phone_codes
+from rossec.authority.console import access, grant_requests
 from rossec.authority.console.approving import Approved, ApprovedAct, Wanted, tried
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
@@ -171,7 +171,7 @@ CODES_KEPT: Final = 600.0  # seconds
 class PasskeyAct(ApprovedAct):
     kind = statement.StatementKind.PASSKEY
 
-    def __init__(self, proposals: phone_codes.Proposals) -> None:
+    def __init__(self, proposals: access.Proposals) -> None:
         self._proposals = proposals
 
     def prepare(self, service: AuthorityService, now: int, number: bytes) -> Wanted:
