@@ -8,7 +8,7 @@ key is done in the transaction of its approval.
 import logging
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
@@ -30,6 +30,7 @@ from rossec.authority.console import access, grant_requests
 from rossec.authority.console.approving import Approved, ApprovedAct, Wanted, tried
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
+from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, check_record, sign_each
 from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall
@@ -400,3 +401,24 @@ def _check_holder(store: Store, approved: Approved, now: int) -> None:
     what = approved.what(statement.DelegateStatement)
     if store.valid_certificate(MASTER, now).thumbprint != what.holder:
         raise StoreError(f"{MASTER} has another key now", "look at it again")
+
+
+def acts_of(
+    work: AuthorityWork,
+    held: access.ConsoleAccess,
+    join_address: Callable[[], str],
+    elapsed: clock.Seconds | None = None,
+) -> Mapping[statement.StatementKind, ApprovedAct]:
+    """What a phone can approve; `elapsed` counts seconds and cannot be set."""
+    policy = work.policy_path()
+    acts: tuple[ApprovedAct, ...] = (
+        EnrollAct(policy),
+        grant_requests.GrantAct(policy),
+        PolicyAct(policy),
+        DelegateAct(),
+        IntermediateAct(),
+        PasskeyAct(held.proposed),
+        InvitationAct(work.home(), join_address, elapsed),
+        RevokeMasterAct(),
+    )
+    return {act.kind: act for act in acts}
