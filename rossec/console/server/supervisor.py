@@ -216,7 +216,7 @@ class ScannerSupervisor:
                 try:
                     async with asyncio.timeout(self._idle):
                         head = await reader.readexactly(scanning.HEAD)
-                except TimeoutError:
+                except TimeoutError:  # nobody holds a camera now: its memory is given back
                     self._end()
                     head = await reader.readexactly(scanning.HEAD)
                 picture = await reader.readexactly(scanning.size(head, scanning.MAX_PICTURE))
@@ -232,6 +232,7 @@ class ScannerSupervisor:
         limit = self._deadline
         try:
             if self._worker is None:
+                # The first picture of a worker waits for its libraries too.
                 self._worker, limit = AskedWorker(self._command), self._deadline + SCANNER_START
             async with asyncio.timeout(limit):
                 body = await self._worker.ask(scanning.frame(picture), scanning.answer_size)

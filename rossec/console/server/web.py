@@ -187,6 +187,8 @@ class ScannerClient:
                 await writer.drain()
                 return scanning.read_answer(await read_frame(reader, scanning.answer_size))
         except (OSError, EOFError, KeyMessageRefused):
+            # An answer that comes late would be taken for the next picture's: nothing is read any more.
+            # The text below the code can still be pasted.
             self._ended = True
             if self._streams is not None:
                 self._streams[1].transport.abort()
