@@ -160,7 +160,7 @@ class Identity:
     """The identity in a verified certificate. Times are inclusive, in seconds.
 
     For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
-    comparison of names can take it for a node of the own domain (`ca.domains.trust` sets that).
+    comparison of names can take it for a node of the own domain (`ca.domains` sets that).
     """
 
     domain: str
@@ -406,12 +406,12 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
     try:
         _, _, chain = _read_renewal(PROFILE.peek(data, limit=MAX_RENEWAL))
     except (errors.SignatureError, errors.EncodingError) as error:
-        raise errors.RenewalRefused(f"this is not a renewal: {error}") from error
+        raise errors.CAError(f"this is not a renewal: {error}") from error
     identity = anchor.verify(chain, now)
     try:
         issued, csr, _ = _read_renewal(PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL))
     except (errors.SignatureError, errors.EncodingError) as error:
-        raise errors.RenewalRefused(
+        raise errors.CAError(
             f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
         ) from error
     # 2. The old identity counts, now, and asks for its own name. The CSR proves possession of the new key,
@@ -419,10 +419,10 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
     for key in identity.keys:
         check(key, now)
     if not now - MAX_AGE <= issued <= now + MAX_AGE:
-        raise errors.RenewalRefused("the renewal is too old, or from the future", "check both clocks")
+        raise errors.CAError("the renewal is too old, or from the future", "check both clocks")
     request = svid.check_request(csr, anchor.domain, wildcard=identity.wildcard)
     if request.name != identity.name:
-        raise errors.RenewalRefused(
+        raise errors.CAError(
             f"{identity.name} requests the identity of {request.name}",
             "a node renews its own name; for another one it must be enrolled",
         )
@@ -430,7 +430,7 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
     began = signed_at(identity.not_before, identity.not_after)
     half = began + (identity.not_after - began) // 2
     if now < half:
-        raise errors.RenewalRefused(
+        raise errors.CAError(
             f"the identity of {identity.name} is not due for renewal for {half - now} s",
             "possible after half its lifetime; before that, where the authority is:"
             f" rossec ca renew {identity.name}",
@@ -445,7 +445,7 @@ def _read_renewal(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
         ):
             chain = tuple(item for item in items if isinstance(item, bytes))
         case _:
-            raise errors.RenewalRefused("the renewal has missing or unknown fields")
+            raise errors.CAError("the renewal has missing or unknown fields")
     if len(chain) != len(items):
-        raise errors.RenewalRefused("the renewal's chain is not a list of certificates")
+        raise errors.CAError("the renewal's chain is not a list of certificates")
     return issued, csr, chain

@@ -74,15 +74,11 @@ class ForeignCertificate(CertificateRefused):
 
 
 class RevocationRefused(CAError):
-    """A revocation list or timestamp that is malformed, or not for the current list."""
+    """A revocation list or timestamp that is malformed, older than one seen, or not for the current list."""
 
 
 class ClocksDisagree(RevocationRefused):
     """A timestamp for the current list that is too old, or in the future."""
-
-
-class RollbackRefused(RevocationRefused):
-    """A revocation list older than one already seen, or a second one under the same number."""
 
 
 class DomainsRefused(CAError):
@@ -133,20 +129,16 @@ class ConflictingOffer(EnrollmentRefused):
     """A second, different, valid offer: another party has the code."""
 
 
-class EnrollmentLocked(EnrollmentRefused):
-    """Too many offers whose sender has not read the code."""
-
-
 class EnrollmentExpired(EnrollmentRefused):
     """The enrollment was not finished in time."""
 
 
 class EnrollmentOver(EnrollmentRefused):
-    """The enrollment has already ended, or the other side ended it."""
+    """The enrollment has ended: before, by the other side, or by too many offers made without the code."""
 
 
 class JoinRefused(EnrollmentRefused):
-    """The authority does not let this node join by this invitation."""
+    """The authority lets no node join by this invitation: unknown, ended, used up, or not for this one."""
 
 
 class JoinBusy(JoinRefused):
@@ -157,12 +149,8 @@ class JoinWaiting(EnrollmentRefused):
     """The authority is locked, or a person has to approve: the same request may be sent again."""
 
 
-class InvitationRefused(EnrollmentRefused):
-    """An invitation that is unknown, ended, expired or used up."""
-
-
 class StoreError(CAError):
-    """The authority's database is missing, foreign, damaged, or refuses the entry."""
+    """The authority's database is missing, foreign, damaged, or refuses the entry: a request was answered."""
 
 
 class RecordUnusable(StoreError):
@@ -177,32 +165,16 @@ class NameCovered(StoreError):
     """A name covered by a valid identity with another key, or that would cover its name."""
 
 
-class ProofRefused(CAError):
-    """A Merkle proof that does not verify."""
-
-
 class LogDamaged(StoreError):
     """The authority's log differs from what was written or signed."""
 
 
-class RequestClosed(StoreError):
-    """A request that was denied, answered or deleted cannot be used for this."""
-
-
-class TooManyRequests(RequestClosed):
+class TooManyRequests(StoreError):
     """So many requests wait for an answer that no other is recorded."""
-
-
-class RenewalRefused(CAError):
-    """A renewal that is not signed by the identity it renews, or is not due."""
 
 
 class TokenRefused(KeyRefused):
     """The token that holds the key is missing, locked, or holds no such key."""
-
-
-class BackupRefused(CAError):
-    """A file that is not a backup of an authority, or must not be restored here."""
 
 
 class ApprovalRefused(CAError):

@@ -305,7 +305,7 @@ class NodeEnrollment(Machine[NodeState]):
             # A wrong tag must not disturb an offer that waits for confirmation.
             self._bad_tags += self.state is _S.SHOWING
             if self._bad_tags >= MAX_BAD_TAGS:
-                error = errors.EnrollmentLocked(
+                error = errors.EnrollmentOver(
                     f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT
                 )
                 self.stop(error)

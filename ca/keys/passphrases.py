@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
 from cryptography.hazmat.primitives.padding import PKCS7
 
 from ca.encoding import decode, encode
-from ca.errors import BackupRefused, EncodingError, KeyRefused, PassphraseRefused
+from ca.errors import CAError, EncodingError, KeyRefused, PassphraseRefused
 
 SALT_SIZE: Final = 16
 IV_SIZE: Final = 16
@@ -132,15 +132,13 @@ def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: byt
     head = MAGIC + salt + nonce
     plain = encode({str(name): data for name, data in files.items()})
     if len(plain) > MAX_BACKUP - 1024:
-        raise BackupRefused("the authority is too large for one backup")
+        raise CAError("the authority is too large for one backup")
     return head + AESGCM(_key(passphrase, salt)).encrypt(nonce, plain, head)
 
 
 def unseal(data: bytes, passphrase: str) -> dict[str, bytes]:
     if len(data) > MAX_BACKUP or len(data) < _HEAD or not data.startswith(MAGIC):
-        raise BackupRefused(
-            "this is not a backup of an authority", "name the file that `rossec ca backup` wrote"
-        )
+        raise CAError("this is not a backup of an authority", "name the file that `rossec ca backup` wrote")
     head = data[:_HEAD]
     salt, nonce = head[len(MAGIC) : -NONCE_SIZE], head[-NONCE_SIZE:]
     try:
@@ -157,12 +155,12 @@ def _read_files(plain: bytes) -> dict[str, bytes]:
     try:
         value = decode(plain, limit=MAX_BACKUP)
     except EncodingError as error:
-        raise BackupRefused(f"the backup is malformed: {error}") from error
+        raise CAError(f"the backup is malformed: {error}") from error
     if not isinstance(value, dict):
-        raise BackupRefused("the backup is malformed: no files in it")
+        raise CAError("the backup is malformed: no files in it")
     files = {str(name): item for name, item in value.items() if isinstance(item, bytes)}
     if len(files) != len(value):
-        raise BackupRefused("the backup is malformed: a file without content")
+        raise CAError("the backup is malformed: a file without content")
     _check_names(files)
     return files
 
@@ -175,7 +173,7 @@ def _check_names(files: Mapping[str, bytes]) -> None:
     directories.update(_DIRECTORIES)
     for name in files:
         if _NAME.fullmatch(name) is None or name in directories or name.endswith(_JOURNALS):
-            raise BackupRefused(f"{name!a} is not a file of an authority")
+            raise CAError(f"{name!a} is not a file of an authority")
 
 
 def _key(passphrase: str, salt: bytes) -> bytes:

@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Final, TypeVar
 
 from ca.encoding import Value, decode, encode, head, is_number
-from ca.errors import EncodingError, ProofRefused, RevocationRefused, SignatureError
+from ca.errors import CAError, EncodingError, RevocationRefused, SignatureError
 from ca.keys.signing import THUMBPRINT_SIZE, Profile, PublicKey, Signer
 from ca.revocation.merkle import HASH_SIZE, Tree, verify_inclusion
 
@@ -367,6 +367,6 @@ def _leaf(tree: RevocationTree, part: Value) -> tuple[int, bytes]:
         raise RevocationRefused("the hashes of a proof are bytes")
     try:
         verify_inclusion(leaf, index, tree.size, path, tree.root)
-    except ProofRefused as error:
+    except CAError as error:
         raise RevocationRefused(f"a proof is invalid: {error}") from error
     return index, leaf

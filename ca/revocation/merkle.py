@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from ca.errors import ProofRefused
+from ca.errors import CAError
 
 HASH_SIZE: Final = 32
 MAX_PROOF: Final = 64  # hashes: enough for a tree of 2^63 leaves
@@ -55,20 +55,20 @@ class Tree:
     def inclusion(self, index: int, size: int | None = None) -> list[bytes]:
         size = self._size(size)
         if not 0 <= index < size:
-            raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
+            raise CAError(f"there is no leaf {index} in a tree of {size}")
         return self._path(index, 0, size)
 
     def consistency(self, first: int, second: int | None = None) -> list[bytes]:
         second = self._size(second)
         if not 0 < first <= second:
-            raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")
+            raise CAError(f"a tree of {second} leaves does not extend one of {first}")
         return self._subproof(first, 0, second, whole=True)
 
     def _size(self, size: int | None) -> int:
         if size is None:
             return len(self)
         if not 0 <= size <= len(self):
-            raise ProofRefused(f"a tree of {len(self)} leaves never had {size}")
+            raise CAError(f"a tree of {len(self)} leaves never had {size}")
         return size
 
     def _hash(self, start: int, end: int) -> bytes:
@@ -108,7 +108,7 @@ def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
     # The *peaks* of a tree of `size` leaves are the roots of its complete subtrees, the largest first: enough
     # to append to it.
     if len(peaks) != size.bit_count():
-        raise ProofRefused(f"a tree of {size} leaves does not have {len(peaks)} peaks")
+        raise CAError(f"a tree of {size} leaves does not have {len(peaks)} peaks")
     grown, digest = list(peaks), leaf_hash(data)
     while size & 1:
         digest = node_hash(grown.pop(), digest)
@@ -129,11 +129,11 @@ def verify_inclusion(data: bytes, index: int, size: int, proof: Sequence[bytes],
     """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2)."""
     check_form(proof)
     if not 0 <= index < size:
-        raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
+        raise CAError(f"there is no leaf {index} in a tree of {size}")
     number, last, digest = index, size - 1, leaf_hash(data)
     for sibling in proof:
         if last == 0:
-            raise ProofRefused("the inclusion proof is too long")
+            raise CAError("the inclusion proof is too long")
         if number & 1 or number == last:
             digest = node_hash(sibling, digest)
             while not number & 1:  # ends: `number` is not 0 here
@@ -142,9 +142,9 @@ def verify_inclusion(data: bytes, index: int, size: int, proof: Sequence[bytes],
             digest = node_hash(digest, sibling)
         number, last = number >> 1, last >> 1
     if last != 0 or digest != root:
-        raise ProofRefused("the inclusion proof does not lead to the root")
+        raise CAError("the inclusion proof does not lead to the root")
 
 
 def check_form(proof: Sequence[bytes]) -> None:
     if len(proof) > MAX_PROOF or any(len(digest) != HASH_SIZE for digest in proof):
-        raise ProofRefused(f"a proof is at most {MAX_PROOF} hashes of {HASH_SIZE} bytes")
+        raise CAError(f"a proof is at most {MAX_PROOF} hashes of {HASH_SIZE} bytes")

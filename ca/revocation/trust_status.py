@@ -172,13 +172,13 @@ class Revocations:
     def check_number(self, new: lists.RevocationList | lists.RevocationTree) -> None:
         """Return if a list or tree may follow the current one, or is the same."""
         if new.number < self.floor:
-            raise errors.RollbackRefused(
+            raise errors.RevocationRefused(
                 f"revocation list {_text(new.number)} is older than {_text(self.floor)}",
                 "an old list was replayed: find out which peer sent it",
             )
         # Two lists of one number: a copy of the authority's key or record signs, and no order is right.
         if self.current is not None and new.number == self.current.number and new != self.current:
-            raise errors.RollbackRefused(
+            raise errors.RevocationRefused(
                 f"there are two different revocation lists {_text(new.number)}",
                 "the authority's database was restored or copied: begin a new epoch",
             )

@@ -155,7 +155,7 @@ class IdentityTable:
             # An older key is that of a copy or a restored disk. An authority without a record of the name (an
             # intermediate) cannot tell.
             if known and known[-1] != renews:
-                raise errors.RenewalRefused(
+                raise errors.CAError(
                     f"{name} was renewed already, by another key",
                     "there is a copy of the node: revoke the name, and enroll the node again",
                 )
@@ -210,7 +210,7 @@ class RequestTable:
             if stored is not None and now <= stored.expires:
                 return stored
             if self._identities.issued_for(request.digest) is not None:
-                raise errors.RequestClosed(
+                raise errors.StoreError(
                     f"this request of {request.name} has its certificate already",
                     f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
                 )
@@ -298,7 +298,7 @@ class RequestTable:
     def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
         stored = self.find(digest)
         if stored is None:
-            raise errors.RequestClosed("the request is not recorded", "first: rossec ca approve REQUEST_ID")
+            raise errors.StoreError("the request is not recorded", "first: rossec ca approve REQUEST_ID")
         _update(db, advance(stored, RequestState.ISSUED, now))
 
     def _collectable(self, now: int) -> list[RequestRow]:
@@ -376,7 +376,7 @@ class InvitationTable:
     def get(self, id: bytes) -> InvitationRow:  # noqa: A002 - as in the row
         found = self._rows("WHERE id = ?", id)
         if not found:
-            raise errors.InvitationRefused("there is no such invitation", "see: rossec ca invitations")
+            raise errors.JoinRefused("there is no such invitation", "see: rossec ca invitations")
         return found[0]
 
     def uses(self, id: bytes) -> list[InvitationUse]:  # noqa: A002 - as in the row
@@ -420,11 +420,11 @@ class InvitationTable:
     def _check(self, row: InvitationRow, used: int, now: int) -> None:
         reason = self.ended(row.id)
         if reason is not None:
-            raise errors.InvitationRefused(f"the invitation was ended: {reason}", _AGAIN)
+            raise errors.JoinRefused(f"the invitation was ended: {reason}", _AGAIN)
         if now > row.expires:
-            raise errors.InvitationRefused("the invitation has expired", _AGAIN)
+            raise errors.JoinRefused("the invitation has expired", _AGAIN)
         if used >= row.uses:
-            raise errors.InvitationRefused(f"the invitation has had its {row.uses} uses", _AGAIN)
+            raise errors.JoinRefused(f"the invitation has had its {row.uses} uses", _AGAIN)
 
     def _rows(self, clause: str, *values: object) -> list[InvitationRow]:
         rows = self._database.logged("invitation", clause, *values)

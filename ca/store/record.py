@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from ca.certificates import utc
-from ca.errors import RequestClosed, StoreError
+from ca.errors import StoreError
 from ca.names import closest
 from ca.store.database import Database, append_entry
 from ca.store.identities import IdentityTable, InvitationTable, RequestTable
@@ -63,7 +63,7 @@ class Store:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
             self.identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key, renews=renews)
             if request is not None and self.identities.issued_for(request) is not None:
-                raise RequestClosed(
+                raise StoreError(
                     f"this request of {row.name} has its certificate already",
                     f"see: rossec ca show {row.name}",
                 )

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, NoReturn
 
 from ca import names, svid
 from ca.encoding import encode, is_number
-from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
+from ca.errors import EncodingError, LogDamaged, SignatureError, StoreError
 from ca.keys.signing import Profile, PublicKey, Signer
 from ca.revocation import merkle
 
@@ -132,11 +132,9 @@ class RequestRow(NamedTuple):
 
 def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") -> RequestRow:
     if state not in TRANSITIONS[row.state]:
-        raise RequestClosed(
-            f"the request of {row.name} is {row.state} and cannot be {state}", _HINTS[row.state]
-        )
+        raise StoreError(f"the request of {row.name} is {row.state} and cannot be {state}", _HINTS[row.state])
     if now > row.expires:
-        raise RequestClosed(
+        raise StoreError(
             f"the request of {row.name} was {row.state} for too long and has expired",
             "make a new request on the node",
         )

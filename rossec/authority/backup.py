@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
+from ca.errors import CAError, HintedError, LogDamaged, PassphraseRefused
 from ca.keys import passphrases, private_keys
 from ca.revocation.lists import is_tree, open_list, open_tree
 from ca.store import log, values
@@ -84,7 +84,7 @@ def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str
     found = {name: owner(name) for name in content}
     for name, owned in found.items():
         if owned is None and not _OLDER.fullmatch(name):
-            raise BackupRefused(f"{name!a} is not a file of an authority")
+            raise CAError(f"{name!a} is not a file of an authority")
     taken = {name for name, owned in found.items() if owned is not None and owned.kept}
     left = sorted(found.keys() - taken)
     return {name: data for name, data in content.items() if name in taken}, left
@@ -232,7 +232,7 @@ def _open_verified(staging: AuthorityHome, secret: str, uri: private_keys.KeyUri
         raise
     except (HintedError, ValueError) as error:
         reason = error if isinstance(error, HintedError) else "not exactly one certificate"
-        raise BackupRefused(
+        raise CAError(
             f"the backup does not contain a valid authority: {reason}",
             "take another backup, and find out who made this one",
         ) from error
@@ -271,13 +271,13 @@ def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> s
 def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Said) -> None:
     anchor, held = _read(there)
     if anchor.thumbprint != found.authority.anchor.thumbprint:
-        raise BackupRefused(
+        raise CAError(
             f"the authority in {there.path} is not the one in the backup",
             "restore it into another ROSSEC_HOME",
         )
     if said.over != anchor.domain:
         listed = " --list FILE" if said.lacks_list else ""
-        raise BackupRefused(
+        raise CAError(
             f"there is an authority in {there.path}",
             f"{_TAKE_OVER}; to replace it with the backup: --over {there.domain}{listed}",
         )
@@ -288,7 +288,7 @@ def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Sai
     if len(lost) != said.forget:
         again = any(entry.what == log.RESTORED for entry in lost)
         reason = "it was restored here before" if again else "it is older"
-        raise BackupRefused(
+        raise CAError(
             f"the backup lacks {len(lost)} entries of the log in {there.path}",
             f"{reason}; {_TAKE_OVER}; to lose them permanently: --forget {len(lost)}",
         )
@@ -299,7 +299,7 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[values.LogEntry]]:
         with contextlib.closing(there.store()) as store:
             return there.anchor(), store.log.entries()
     except HintedError as error:
-        raise BackupRefused(
+        raise CAError(
             f"the authority in {there.path} is incomplete: {error}",
             "move that directory away and restore again: its log cannot be compared",
         ) from error

@@ -26,7 +26,7 @@ from rossec.errors import ConfigurationError
 
 MAX_WAITING: Final = 16  # requests of one invitation that wait for a person
 _REASONS: Final[tuple[tuple[type[errors.CAError], RefuseReason], ...]] = (
-    (errors.InvitationRefused, RefuseReason.ENDED),
+    (errors.JoinRefused, RefuseReason.ENDED),
     (errors.RequestRefused, RefuseReason.REQUEST),
     (errors.NameRefused, RefuseReason.NAME),
     (errors.NameCovered, RefuseReason.NAME),
@@ -51,7 +51,7 @@ def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAns
             return _decide(authority, invitation, found, request.csr, now)
     except errors.RecordUnusable:
         raise
-    except (errors.StoreError, errors.InvitationRefused, errors.RequestRefused, errors.NameRefused) as error:
+    except (errors.StoreError, errors.JoinRefused, errors.RequestRefused, errors.NameRefused) as error:
         # What has no reason of its own: a revoked key, an identity that is not valid any more.
         reasons = (reason for kind, reason in _REASONS if isinstance(error, kind))
         return RefusedMessage(next(reasons, RefuseReason.DENIED))
@@ -65,7 +65,7 @@ def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
     try:
         if not used:  # a request that was answered gets its answer again, however late
             store.invitations.check_open(invitation.id, now)
-    except errors.InvitationRefused:
+    except errors.JoinRefused:
         return RefusedMessage(RefuseReason.ENDED)
     return WaitingMessage(WaitReason.LOCKED)
 
@@ -80,7 +80,7 @@ def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> s
     try:
         if not store.invitations.uses(invitation.id):
             store.invitations.check_open(invitation.id, now)
-    except errors.InvitationRefused:
+    except errors.JoinRefused:
         return RefusedMessage(RefuseReason.ENDED)
     return invitation.pattern
 
@@ -99,7 +99,7 @@ def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | N
     try:
         found = store.invitations.get(request.invitation)
         request.verify(found.key)
-    except (errors.InvitationRefused, errors.JoinRefused):
+    except errors.JoinRefused:
         return None
     return found
 

@@ -14,7 +14,7 @@ from typing import Final
 
 from ca import certificates, svid
 from ca.authority import DAY, LIFETIME, MAX_LIFETIME, Authority
-from ca.errors import RenewalRefused, Revoked, StoreError
+from ca.errors import CAError, Revoked, StoreError
 from ca.keys import private_keys
 from ca.keys.signing import KeySigner
 from ca.store.record import CertificateRow, Store
@@ -50,13 +50,13 @@ def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
         identity = renewal.identity
         rows = authority.store.identities.by_name(identity.name)
         if not rows:
-            raise RenewalRefused(
+            raise CAError(
                 f"{identity.name} is not in the authority's record",
                 "was it enrolled by an intermediate? where the authority is: rossec ca import NODE.pem",
             )
         newest = rows[-1]
         if (newest.thumbprint, newest.wildcard) != (identity.thumbprint, identity.wildcard):
-            raise RenewalRefused(
+            raise CAError(
                 f"{identity.name} has a newer identity, with another key or for other names",
                 f"see, where the authority is: rossec ca show {identity.name}",
             )

@@ -14,7 +14,7 @@ from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.domains import ForeignDomain, open_domains
-from ca.errors import BackupRefused, DomainsRefused, HintedError
+from ca.errors import CAError, DomainsRefused, HintedError
 from ca.revocation import lists, trust_status
 from rossec import files
 from rossec.authority.home import ENTRIES
@@ -58,7 +58,7 @@ def read_newer(
     if newest_list is not None and held is not None:
         found = trust_status.open_statement(newest_list, anchor.public_key)
         if found.number < trust_status.open_statement(held, anchor.public_key).number:
-            raise BackupRefused(
+            raise CAError(
                 "the list is older than the backup: it says nothing of what was revoked since",
                 "give a newer one: the master has the newest",
             )
@@ -79,7 +79,7 @@ def require_list(authority: SigningAuthority, home: Path, now: int) -> None:
             f"every node has one, the master the newest: scp 'HOST:{there}/revocations.*' ."
             f" and --list {REVOCATIONS}"
         )
-    raise BackupRefused(
+    raise CAError(
         "without a newer list, what was revoked after the backup would be valid again",
         f"{where}; only if none is left: --without-list",
     )
@@ -108,7 +108,7 @@ def read_revoked(
         return listed.entries, listed.epoch
     tree = lists.open_tree(data, anchor.public_key)
     if entries is None:
-        raise BackupRefused(
+        raise CAError(
             "the newest revocations are a tree, which does not contain its entries",
             "give its entries with --entries: the master has them in revocations.entries",
         )

@@ -294,7 +294,7 @@ class SigningAuthority:
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
             self.store.valid_certificate(row.name, now)  # says how an identity that is over comes back
         if not is_valid or row.wildcard is not wildcard:
-            raise errors.RequestClosed(
+            raise errors.StoreError(
                 f"this request of {row.name} was answered, but that identity is invalid or differs",
                 "make a new request on the node",
             )

@@ -135,6 +135,7 @@ def carried_out(sources: ApprovalSources, act: ProposedAct, outcome: ApprovalOut
 
 @_reads("enroll", {"enrollment"}, {"enrollment", "name"}, {"request"}, {"request", "name"})
 async def _enroll(sources: ApprovalSources, form: Form) -> ProposedAct:
+    # A form only points to a request: what is signed is what the node sent, never fields that a page carried.
     arguments: list[Value]
     if "enrollment" in form:
         number = form["enrollment"]
@@ -158,7 +159,7 @@ async def _grant(sources: ApprovalSources, form: Form) -> ProposedAct:
     question, coarse = _octets(form, "question"), form["coarse"]
     if form["duration"] not in GRANT_DURATIONS:
         raise FormRefused("this is not one of the durations", _RELOAD)
-    if len(coarse) > MAX_REASON:
+    if len(coarse) > MAX_REASON:  # whether the policy has such a filter, the service knows
         raise FormRefused("this is not the name of a filter", _RELOAD)
     asked = [each for each in await sources.service.questions() if each.id == question]
     if not asked:
@@ -251,6 +252,7 @@ def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
 
 
 def _octets(form: Form, field: str) -> bytes:
+    # `b64decode` skips what is not in the alphabet, so many texts would be one id (RFC 4648 section 3.3).
     if not re.fullmatch(r"[A-Za-z0-9_-]{2,120}", form[field], re.ASCII):
         raise FormRefused(f"the field {field} is no identifier", _RELOAD)
     try:
@@ -260,6 +262,7 @@ def _octets(form: Form, field: str) -> bytes:
 
 
 def _number(form: Form, field: str, most: int) -> int:
+    # `int` takes digits of every script, signs, spaces and underscores: people see others than are meant.
     text = form[field]
     if not re.fullmatch(r"[1-9][0-9]{0,5}", text, re.ASCII) or int(text) > most:
         raise FormRefused(f"{field} is a number from 1 to {most}", "change it, and go on")

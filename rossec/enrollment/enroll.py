@@ -42,7 +42,6 @@ _REASONS: Final[dict[type[errors.EnrollmentRefused], Reason]] = {
     errors.ConflictingOffer: Reason.CONFLICT,
     errors.EnrollmentOver: Reason.OVER,
     errors.EnrollmentExpired: Reason.OVER,
-    errors.EnrollmentLocked: Reason.OVER,
 }
 
 Answer: TypeAlias = dict[str, str]

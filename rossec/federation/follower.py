@@ -278,6 +278,7 @@ class FollowedSite:
     async def _poll(self, client: RpcClient, peer: Identity) -> None:
         while True:
             await self._pace()
+            # Before the question: what is wanted meanwhile is not in it, and is asked for by the next one.
             demand = self._own.state.imports.demand.version
             asking = asyncio.ensure_future(self._next_change(client))
             try:
@@ -310,10 +311,11 @@ class FollowedSite:
             *([] if self._forwarded_ports is None else [self._forwarded_ports.changed]),
         ]
         while not asking.done():
+            # The site holds the question until something changes there: what is wanted here would wait.
             if self.state.phase is site_state.SitePhase.FOLLOWING and imports.demand.version != demand:
                 return False
             if self._lists_changed.is_set():
-                self._lists_changed.clear()
+                self._lists_changed.clear()  # the peer itself may be revoked by the new list
                 self.connections.check_trust(peer)
             if self._forwarded_ports is not None and self._forwarded_ports.changed.is_set():
                 await self._apply(self._forwarded_ports.refreshed())
@@ -337,7 +339,7 @@ class FollowedSite:
             except errors.AnswerRefused as error:
                 raise errors.GraphHidden(f"{self.settings.label} refuses: {error}", error.hint) from error
             change = self._cursor.take(answer)
-            if change is not None:
+            if change is not None:  # else a part of a graph that comes in several answers
                 return change
             await self._pace()
 

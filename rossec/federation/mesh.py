@@ -68,6 +68,8 @@ class AnnouncedMasters:
 
     def _note(self, name: str, found: list[Candidate], now: float) -> None:
         held = self._heard.get(name)
+        # The address in use stays while it is heard: at a host with several links, or where another master
+        # says that it has this name, the site would otherwise be dialled anew at each look.
         kept = [one for one in found if held is not None and uri_of(one) == held.settings.uri]
         one = (kept or found)[0]
         instance = one.announcement.instance
@@ -127,6 +129,7 @@ class Mesh:
             await self._tasks.close()
 
     def status(self) -> dict[str, Any]:
+        # Of two sources with one label the first prevails: so it is entered last.
         sources = {site.label: name for name, sites in reversed(self._last.items()) for site in sites}
         rows = [
             {**follower.status(), "source": sources.get(label, "")}
@@ -147,6 +150,7 @@ class Mesh:
     def _update(self) -> None:
         wanted = self._wanted()
         for label, (follower, task) in tuple(self._followers.items()):
+            # Whatever was changed, it is another site: what was learnt under the old settings is dropped.
             if wanted.get(label) != follower.settings:
                 task.cancel()
                 del self._followers[label]
@@ -167,6 +171,7 @@ class Mesh:
                 self._warned[name] = _text(error)
             for each in self._last.get(name, ()):
                 known = {(other.domain, other.master) for other in found.values()}
+                # One that a person has named is followed as named, and not a second time by its announcement.
                 if name != _ANNOUNCED or (each.domain, each.master) not in known:
                     self._add(found, each)
         for where, text in self._warned.items():

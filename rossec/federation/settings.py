@@ -97,7 +97,7 @@ def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
 
 
 def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
-    if len(data) > MAX_FILE:
+    if len(data) > MAX_FILE:  # before the parse
         raise ConfigurationError(f"{name} is longer than {MAX_FILE} bytes")
     try:
         found = json.loads(data)
@@ -193,6 +193,7 @@ def _text(key: str, part: Any, where: str) -> str:
 
 
 def _entries(part: Any, name: str, what: str, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, str, Any]]:
+    # What `grants.policy.source` read, taken as used: a map has `entries`, a list `items`, a text `value`.
     if part is None:
         return
     entries = getattr(part, "entries", None)
@@ -230,6 +231,7 @@ class SiteFile:
                 f"there is no master in {self._directory}",
                 "enroll it first, by the name in ROSSEC_MASTER, or run this where the master runs",
             )
+        # Read and written under one lock: of two commands at a time neither undoes the other's change.
         with files.locked_directory(self._directory):
             sites = self._load()
             edit(sites)
@@ -246,4 +248,5 @@ class SiteFile:
             found = self._path.stat()
         except FileNotFoundError:
             return ()
+        # It is replaced whole, so another content is another inode, whatever the time says.
         return found.st_ino, found.st_mtime_ns, found.st_size

@@ -190,6 +190,7 @@ class SiteCursor:
             case _:
                 raise AnswerMalformed("a site's answer that is malformed")
         part = SiteChange(facts_of(added), facts_of(removed), whole, revocations, domains)
+        # Serial numbers (RFC 1982): less than half of the circle ahead is newer, the rest is older.
         if instance == self.instance and (version - self.version) % (2 * _HALF) >= _HALF:
             raise AnswerMalformed("a site's version runs backwards")
         self.instance, self.version, self._cursor = instance, version, cursor

@@ -11,18 +11,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
+from ca import names
 from ca.errors import HintedError, NameRefused
-from ca.names import (
-    alias_of,
-    check_label,
-    check_pattern,
-    is_alias,
-    is_gateway,
-    is_in_gateway,
-    pattern_covers,
-    served_name,
-    split_alias,
-)
 from grants.errors import DefinitionRefused
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused, RossecError
 from rossec.node.subscriber import RawSource
@@ -53,7 +43,7 @@ class TopicRule:
 def rule(label: str, pattern: str, options: DeliveryOptions) -> TopicRule:
     """The rule, checked: `pattern` is of the origin's own names, not of what it has from others."""
     try:
-        check_label(label)
+        names.check_label(label)
     except HintedError as error:
         raise ConfigurationError(str(error), "rossec domain list shows the labels") from error
     prefixes = (f"{label}:", f"/remote/{label}")
@@ -64,11 +54,11 @@ def rule(label: str, pattern: str, options: DeliveryOptions) -> TopicRule:
             f"{pattern[:255]!a} is a name here, not at its origin", f"--from {label} {own}"
         )
     try:
-        check_pattern(pattern)
-        alias_of(label, "/x")
+        names.check_pattern(pattern)
+        names.alias_of(label, "/x")
     except HintedError as error:
         raise ConfigurationError(str(error), error.hint) from error
-    if is_alias(pattern):
+    if names.is_alias(pattern):
         raise ConfigurationError(
             f"{pattern} is what {label} calls other domains' topics: they travel one hop",
             "take the topic from its own domain: --from THAT-DOMAIN PATTERN",
@@ -77,16 +67,16 @@ def rule(label: str, pattern: str, options: DeliveryOptions) -> TopicRule:
 
 
 def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
-    found = split_alias(alias)
+    found = names.split_alias(alias)
     if found is None:
         return None
     label, name = found
     of_label = (each for each in rules if each.label == label)
     # Two domains whose gateways serve each other's `/**` would hand the same topics to and fro, under ever
     # longer names: what gateways serve is covered by patterns below `/gateway` alone.
-    if is_in_gateway(name):
-        of_label = (each for each in of_label if is_in_gateway(each.pattern))
-    return next((each for each in of_label if pattern_covers(each.pattern, name)), None)
+    if names.is_in_gateway(name):
+        of_label = (each for each in of_label if names.is_in_gateway(each.pattern))
+    return next((each for each in of_label if names.pattern_covers(each.pattern, name)), None)
 
 
 class SourceCandidate(NamedTuple):
@@ -108,11 +98,11 @@ def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[No
     for count, (kind, name, value) in enumerate(facts, 1):
         if kind == "type":
             types[name] = value
-        elif kind == "publisher" and is_gateway(value):
+        elif kind == "publisher" and names.is_gateway(value):
             servers[name] = servers.get(name, frozenset()) | {value}
         elif kind == "publisher":
             with suppress(NameRefused):
-                topic, node = split_alias(name), split_alias(value)
+                topic, node = names.split_alias(name), names.split_alias(value)
                 if topic is not None and node is not None and topic[0] == node[0]:  # of its own origin
                     published.add(name)
         if not count % BATCH:
@@ -123,7 +113,7 @@ def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[No
         if rule is not None:
             with suppress(NameRefused):  # it would be longer than a name
                 kind = types.get(alias, ANY_TYPE)
-                candidates[alias] = SourceCandidate(alias, served_name(alias), rule, kind)
+                candidates[alias] = SourceCandidate(alias, names.served_name(alias), rule, kind)
         if not count % BATCH:
             yield
     return Observed(candidates, servers)

@@ -23,15 +23,7 @@ from defusedxml.common import DefusedXmlException
 from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError, NameRefused
 from ca.names import check_name
-from rossec.errors import (
-    MetadataRefused,
-    NameUndefined,
-    ProposedNameRefused,
-    RossecError,
-    RulesExceeded,
-    RulesNotConfined,
-    RulesRefused,
-)
+from rossec import errors
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -60,7 +52,13 @@ _BOM: Final = b"\xef\xbb\xbf"
 _SPACE: Final = b" \t\r\n"
 _ENTRIES: Final = frozenset({"topic", "service"})
 _MOBILE: Final = {"true": True, "false": False, None: None}
-_ERRORS: Final = (RulesRefused, MetadataRefused, NameUndefined, RulesExceeded, RulesNotConfined)
+_ERRORS: Final = (
+    errors.RulesRefused,
+    errors.MetadataRefused,
+    errors.NameUndefined,
+    errors.RulesExceeded,
+    errors.RulesNotConfined,
+)
 _HINT: Final = "for example <node><name>lamp</name><topic><name>state</name></topic></node>"
 _ODD: Final = "the process that applies rules answers in another form"
 
@@ -111,16 +109,16 @@ class NameRequest:
     thesis_defaults: bool = False
 
 
-Result = str | RossecError
+Result = str | errors.RossecError
 
 
 def check_rules(data: bytes) -> bytes:
     """Return `data` if it may be parsed as rules; else raise `RulesRefused`."""
-    return check_document(data, "rules", RulesRefused)
+    return check_document(data, "rules", errors.RulesRefused)
 
 
 def check_document(
-    data: bytes, what: str = "metadata", refusal: type[RossecError] = MetadataRefused
+    data: bytes, what: str = "metadata", refusal: type[errors.RossecError] = errors.MetadataRefused
 ) -> bytes:
     """Return `data` if it may be parsed as `what`: metadata, rules, or a launch file."""
     # By its characters, before any parser sees it: those are written in C, and it comes from people and
@@ -165,15 +163,15 @@ def _encoding(data: bytes) -> str:
 def read(data: bytes) -> Metadata:
     root = parse(data)
     if root.tag != "node":
-        raise MetadataRefused(f"metadata are a <node>, not <{root.tag[:60]}>", _HINT)
+        raise errors.MetadataRefused(f"metadata are a <node>, not <{root.tag[:60]}>", _HINT)
     found = [each for each in root if each.tag in _ENTRIES]
     if len(found) > MAX_ENTRIES:
-        raise MetadataRefused(f"{len(found)} topics and services where {MAX_ENTRIES} are allowed")
+        raise errors.MetadataRefused(f"{len(found)} topics and services where {MAX_ENTRIES} are allowed")
     entries = tuple(map(_entry, found, _lines(data)))
     known = [(entry.kind, entry.name) for entry in entries]
     for kind, name in known:
         if known.count((kind, name)) > 1:
-            raise MetadataRefused(f"two {kind}s with the name {name!a}", "give each its own name")
+            raise errors.MetadataRefused(f"two {kind}s with the name {name!a}", "give each its own name")
     return Metadata(_text(root, "owner"), _text(root, "name"), _text(root, "group"), entries)
 
 
@@ -183,9 +181,9 @@ def parse(data: bytes, what: str = "metadata") -> "Element":
         root: Element = ElementTree.fromstring(data, forbid_dtd=True)
     except ParseError as error:
         line, _ = error.position
-        raise MetadataRefused(f"line {line}: {what} that are no XML: {error}", _HINT) from None
+        raise errors.MetadataRefused(f"line {line}: {what} that are no XML: {error}", _HINT) from None
     except (DefusedXmlException, ValueError, LookupError) as error:
-        raise MetadataRefused(f"{what} that cannot be read: {error}", _HINT) from None
+        raise errors.MetadataRefused(f"{what} that cannot be read: {error}", _HINT) from None
     return root
 
 
@@ -210,30 +208,30 @@ def _lines(data: bytes) -> list[int]:
 def _entry(element: "Element", line: int) -> Entry:
     kind, name, mobile = NameKind(element.tag), _text(element, "name"), _text(element, "mobile")
     if name is None:
-        raise MetadataRefused(f"line {line}: a {element.tag} without <name>", _HINT)
+        raise errors.MetadataRefused(f"line {line}: a {element.tag} without <name>", _HINT)
     check_query(kind, name)
     if mobile not in _MOBILE:
-        raise MetadataRefused(f"line {line}: <mobile> is true or false, not {mobile!a:.60}")
+        raise errors.MetadataRefused(f"line {line}: <mobile> is true or false, not {mobile!a:.60}")
     return Entry(kind, name, _text(element, "function"), _text(element, "location"), _MOBILE[mobile], line)
 
 
 def _text(element: "Element", tag: str) -> str | None:
     found = element.findall(tag)
     if len(found) > 1:
-        raise MetadataRefused(f"<{element.tag}> has {len(found)} times <{tag}>", "once is enough")
+        raise errors.MetadataRefused(f"<{element.tag}> has {len(found)} times <{tag}>", "once is enough")
     if not found:
         return None
     if len(found[0]):
-        raise MetadataRefused(f"<{tag}> has other elements inside", "it is a text")
+        raise errors.MetadataRefused(f"<{tag}> has other elements inside", "it is a text")
     return (found[0].text or "").strip() or None
 
 
 def check_query(kind: NameKind, which: str) -> tuple[NameKind, str]:
     if (kind is NameKind.NODE) is not (which == ""):
         said = "a topic or service is asked for by its name in the metadata"
-        raise MetadataRefused(said, "a node has none")
+        raise errors.MetadataRefused(said, "a node has none")
     if len(which) > MAX_WHICH or not which.isprintable():
-        raise MetadataRefused(f"{which[:60]!a} is no name of a {kind} in metadata")
+        raise errors.MetadataRefused(f"{which[:60]!a} is no name of a {kind} in metadata")
     return kind, which
 
 
@@ -244,7 +242,7 @@ def frame(body: bytes) -> bytes:
 def size(head: bytes, limit: int) -> int:
     found = int.from_bytes(head)
     if not 0 < found <= limit:
-        raise RulesExceeded(f"{found} bytes where at most {limit} are allowed")
+        raise errors.RulesExceeded(f"{found} bytes where at most {limit} are allowed")
     return found
 
 
@@ -275,7 +273,7 @@ def write_names(results: list[Result]) -> bytes:
     return encode([0, [_written(result) for result in results]])
 
 
-def write_error(error: RossecError) -> bytes:
+def write_error(error: errors.RossecError) -> bytes:
     return encode(_written(error))
 
 
@@ -289,12 +287,12 @@ def read_names(body: bytes, count: int) -> list[Result]:
     try:
         value = decode(body, limit=MAX_ANSWER)
     except EncodingError as error:
-        raise RulesExceeded(_ODD) from error
+        raise errors.RulesExceeded(_ODD) from error
     match value:
         case [0, list() as items] if len(items) == count:
             return [_result(item) for item in items]
         case [0, _]:
-            raise RulesExceeded(_ODD)
+            raise errors.RulesExceeded(_ODD)
         case _:
             raise _error(value)
 
@@ -306,11 +304,11 @@ def _result(item: Value) -> Result:
     return _error(item)
 
 
-def _error(item: Value) -> RossecError:
+def _error(item: Value) -> errors.RossecError:
     match item:
         case [int() as code, str() as message, str() as hint] if 0 < code <= len(_ERRORS):
             return _ERRORS[code - 1](message[:MAX_TEXT], hint[:MAX_TEXT])
-    return RulesExceeded(_ODD)
+    return errors.RulesExceeded(_ODD)
 
 
 def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
@@ -321,9 +319,9 @@ def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
     try:
         check_name(legal)
     except NameRefused as error:
-        raise ProposedNameRefused(f"the rules do not give a name: {error}", error.hint) from None
+        raise errors.ProposedNameRefused(f"the rules do not give a name: {error}", error.hint) from None
     first = text.split("/")[1]
     if first in RESERVED:
         hint = f"no rule may put anything below /{first}"
-        raise ProposedNameRefused(f"the rules gave {text}, which is reserved", hint)
+        raise errors.ProposedNameRefused(f"the rules gave {text}, which is reserved", hint)
     return text

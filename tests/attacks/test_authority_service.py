@@ -17,7 +17,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice import messages as inner_messages
 from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.authority.keyservice.inner_channel import InnerChannel
+from rossec.authority.keyservice.front_end import InnerChannel
 from rossec.authority.keyservice.messages import InnerRequest, ServiceRequest
 from rossec.authority.keyservice.process import FrontEndOptions, FrontEndProcess
 from rossec.errors import (

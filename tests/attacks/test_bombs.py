@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from ca.enrollment import qr
-from rossec.console.scanning.frames import MAX_PICTURE
+from rossec.console.scanning import MAX_PICTURE
 from rossec.console.server import supervisor as scanning
 from rossec.console.server.supervisor import ScannerSupervisor
 from rossec.console.server.web import ScannerClient

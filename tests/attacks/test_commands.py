@@ -7,7 +7,7 @@ from typing import Final
 
 import pytest
 
-from ca.errors import RevocationRefused, RollbackRefused
+from ca.errors import RevocationRefused
 from grants import document
 from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import MASTER, REVOCATION_UPDATE
@@ -82,7 +82,7 @@ async def test_an_older_or_forged_revocation_list_is_refused_by_the_node(
         assert isinstance(answer, list)
         assert answer[0] == -1
         assert said in answer[1]
-    with pytest.raises(RollbackRefused):
+    with pytest.raises(RevocationRefused, match="is older than"):
         witness.robot.push_arrived(REVOCATION_UPDATE, (old, b""), site.identity(MASTER))
     with pytest.raises(RevocationRefused):
         witness.robot.push_arrived(REVOCATION_UPDATE, (forged, b""), site.identity(MASTER))

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ca.errors import ApprovalRefused, HintedError, RequestClosed
+from ca.errors import ApprovalRefused, HintedError, StoreError
 from grants import document
 from rossec.authority.backup import back_up, restore
 from rossec.authority.console.grant_requests import Questions
@@ -186,7 +186,7 @@ def test_of_two_browsers_that_approve_one_request_one_is_refused(acts: Acts) -> 
         together.wait(10)
         try:
             results.append(acts.approving.approve(prepared.id, *signed))
-        except (RequestClosed, ApprovalRefused) as error:
+        except (StoreError, ApprovalRefused) as error:
             results.append(error)
 
     threads = [threading.Thread(target=approve, args=each) for each in touches]
@@ -280,7 +280,7 @@ def test_a_request_that_was_denied_meanwhile_is_not_issued(acts: Acts, is_approv
         assert acts.outcome(waits.id).result == "denied: not mine"
     else:
         acts.removals.deny_request(row.digest, "not mine")
-        with pytest.raises(RequestClosed, match="denied"):
+        with pytest.raises(StoreError, match="denied"):
             acts.touch(prepared)
     acts.unlock()
     acts.approving.carry_out_waiting()

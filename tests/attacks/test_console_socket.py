@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import ApprovalRefused, HintedError
-from rossec.authority.console.access import ConsoleAccess
+from rossec.authority.console.access import MAX_FAILURES, ConsoleAccess
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import (
     MAX_REQUEST,
@@ -22,7 +22,6 @@ from rossec.authority.console.messages import (
     PasskeyRegistration,
     from_value,
 )
-from rossec.authority.console.phone_codes import MAX_FAILURES
 from rossec.authority.keyservice import messages
 from rossec.errors import KeyMessageRefused, KeyServiceFailed, PhoneCodeRefused
 from tests.support import refusal_texts

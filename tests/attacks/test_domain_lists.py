@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import TRUST_BUNDLE, Anchors, open_bundle, sign_domains
+from ca.domains import TRUST_BUNDLE, Anchors, open_bundle, sign_domains
 from ca.enrollment.qr import bundle_code, check_code
 from ca.errors import BundleRefused, DomainsRefused, LogDamaged, StoreError
 from ca.keys.signing import KeySigner

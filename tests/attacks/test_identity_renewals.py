@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from ca.certificates import sign_renewal
-from ca.errors import RenewalRefused, Revoked, StoreError
+from ca.errors import CAError, Revoked, StoreError
 from ca.keys.private_keys import generate
 from ca.keys.signing import KeySigner
 from ca.svid import build_request
@@ -53,9 +53,9 @@ def test_a_node_gets_no_identity_of_another_name_or_key(site: Site) -> None:
         (keys[EVE], asks(robot, "/robot")),  # a request that she recorded
     ]
     for holder, request in forged:
-        with pytest.raises(RenewalRefused):
+        with pytest.raises(CAError, match=r"(requests the identity of|is not of) /robot"):
             table.ask(holder, request, NOW, lambda *_: None)
-    with pytest.raises(RenewalRefused):
+    with pytest.raises(CAError, match="requests the identity of /robot"):
         renew_recorded(site.authority, asks(eve, "/robot"), NOW)
     assert recorded(site, "/robot") == 1
 
@@ -77,7 +77,7 @@ def test_what_is_revoked_replaced_or_unknown_gets_nothing(site: Site, tmp_path: 
             renew_by_name(site.authority, EVE, NOW + LIFE, expired=expired)
     with contextlib.closing(Site(tmp_path / "other", clock=lambda: BEGAN).authority.store) as empty:
         site.authority.store = empty  # a record restored from before the node was enrolled
-        with pytest.raises(RenewalRefused, match="/robot is not in the authority's record"):
+        with pytest.raises(CAError, match="/robot is not in the authority's record"):
             renew_recorded(site.authority, asks(robot, "/robot"), NOW)
 
 
@@ -91,8 +91,8 @@ def test_one_node_cannot_fill_the_record(site: Site) -> None:
     for at in range(20):
         try:
             renew_recorded(site.authority, asks(eve, EVE, KeySigner(generate())), NOW + at)
-        except RenewalRefused:
-            refused += 1
+        except CAError as error:
+            refused += "has a newer identity" in str(error)
     assert (refused, recorded(site, EVE)) == (19, 2)
 
 
@@ -121,7 +121,7 @@ def test_a_refusal_of_a_clock_that_was_ahead_does_not_stay(site: Site) -> None:
     [request] = table.offer(ahead, locked=False).requests
     refusal = Settlement(hashlib.sha256(request).digest(), b"", "it is from the future")
     assert table.settle([refusal], ahead, lambda *_: None) == 1
-    with pytest.raises(RenewalRefused, match="from the future"):
+    with pytest.raises(CAError, match="from the future"):
         table.ask(key, asks(robot, "/robot", at=ahead), ahead, lambda *_: None)
     assert table.ask(key, asks(robot, "/robot"), NOW, lambda *_: None).bundle == b""
     [again] = table.offer(NOW + 1, locked=False).requests

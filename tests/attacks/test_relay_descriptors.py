@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
 from rossec.overlay.documents import Peer

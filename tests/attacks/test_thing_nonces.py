@@ -13,7 +13,7 @@ from aiocoap.numbers import codes
 from aiocoap.optiontypes import BlockOption
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import Conversation
 from rossec.border.endpoint import CoapAnswer, CoapEndpoint, CoapRequest, Requests

@@ -10,7 +10,7 @@ from ca.errors import LogDamaged, StoreError, ThingOutdated, ThingRefused
 from ca.keys import passphrases
 from ca.keys.signing import Profile
 from ca.store.record import Store
-from ca.things.constrained_nodes import THING, ThingSecret, open_statement, read_ccs, sign_statement
+from ca.things import THING, ThingSecret, open_statement, read_ccs, sign_statement
 from rossec.authority.backup import back_up
 from rossec.home import NodeHome
 from rossec.saved_statements import ThingFiles

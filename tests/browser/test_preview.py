@@ -6,7 +6,7 @@ from typing import Final
 import pytest
 from playwright.sync_api import Locator, expect
 
-from rossec.console.preview.receiver import NAME
+from rossec.console.preview import NAME
 from tests.support.browser import Chromium, Window
 from tests.support.consolesite import POSE, SCAN, ConsoleSite, console_site, with_robot
 from tests.support.pagecheck import PageCheck

@@ -31,7 +31,7 @@ def test_one_root(kind: type[errors.HintedError]) -> None:
         (errors.ForeignCertificate, errors.CertificateRefused),
         (errors.CertificateExpired, errors.CertificateRefused),
         (errors.CertificateNotYetValid, errors.CertificateRefused),
-        (errors.RollbackRefused, errors.RevocationRefused),
+        (errors.ClocksDisagree, errors.RevocationRefused),
         (errors.PassphraseRefused, errors.KeyRefused),
         (errors.LogDamaged, errors.StoreError),
     ],

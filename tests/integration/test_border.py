@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border.handshakes import StaticKey
 from rossec.home import NodeHome
 from rossec.saved_statements import ThingFiles
@@ -41,7 +41,7 @@ asyncio.run(main())
 THING = """
 import asyncio, json, sys
 from ca.encoding import encode
-from ca.things.constrained_nodes import read_ccs
+from ca.things import read_ccs
 from tests.support.constrained import Thing, Value
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import DomainsRefused, RollbackRefused
+from ca.errors import DomainsRefused, RevocationRefused
 from rossec.home import NodeHome
 from rossec.saved_statements import LONGEST, DomainFiles
 from tests.support.domains import Pair, domains, foreign, revoked
@@ -42,7 +42,7 @@ def test_what_was_known_is_known_after_a_restart(saved: DomainFiles, pair: Pair)
     trust_status = saved.trust_status(anchors, pair.own, NOW)
     assert anchors.data == listed
     assert trust_status.revoked(DOMAIN) == {KEY}
-    with pytest.raises(RollbackRefused):
+    with pytest.raises(RevocationRefused, match="is older than"):
         trust_status.take_foreign(DOMAIN, revoked(pair.hospital, seq=2), b"", [], NOW)
     with pytest.raises(DomainsRefused, match="older"):
         anchors.update(domains(pair.home, seq=0))

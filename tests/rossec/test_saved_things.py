@@ -7,13 +7,7 @@ import pytest
 
 from ca.errors import CAError, PathRefused, ThingRefused
 from ca.keys.signing import thumbprint
-from ca.things.constrained_nodes import (
-    ThingKey,
-    ThingSecret,
-    ThingStatement,
-    read_description,
-    sign_statement,
-)
+from ca.things import ThingKey, ThingSecret, ThingStatement, read_description, sign_statement
 from rossec import saved_statements
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.keys.signing import thumbprint
 from ca.store.signed_statements import ThingRow
-from ca.things.constrained_nodes import Credential, ThingSecret, ThingStatement, sign_statement
+from ca.things import Credential, ThingSecret, ThingStatement, sign_statement
 from grants.model import Right
 from rossec.border.border_router import BorderRouter
 from rossec.border.handshakes import StaticKey

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ca.errors import ProofRefused
+from ca.errors import CAError
 from ca.revocation.merkle import check_form, node_hash
 
 
@@ -12,10 +12,10 @@ def verify_consistency(
     """Return if `proof` shows that the second tree extends the first (RFC 9162, 2.1.4.2)."""
     check_form(proof)
     if not 0 < first <= second:
-        raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")
+        raise CAError(f"a tree of {second} leaves does not extend one of {first}")
     if first == second:
         if proof or first_root != second_root:
-            raise ProofRefused("two trees of the same size have different roots")
+            raise CAError("two trees of the same size have different roots")
         return
     _check_growth(first, second, proof, first_root, second_root)
 
@@ -26,14 +26,14 @@ def _check_growth(
     # The old root is not in the proof: it is prepended when the old tree is a complete subtree.
     path = [first_root, *proof] if first & (first - 1) == 0 else list(proof)
     if not path:
-        raise ProofRefused("the consistency proof is empty")
+        raise CAError("the consistency proof is empty")
     number, last = first - 1, second - 1
     while number & 1:
         number, last = number >> 1, last >> 1
     old = new = path[0]
     for sibling in path[1:]:
         if last == 0:
-            raise ProofRefused("the consistency proof is too long")
+            raise CAError("the consistency proof is too long")
         if number & 1 or number == last:
             old, new = node_hash(sibling, old), node_hash(sibling, new)
             while number and not number & 1:
@@ -42,4 +42,4 @@ def _check_growth(
             new = node_hash(new, sibling)
         number, last = number >> 1, last >> 1
     if last != 0 or old != first_root or new != second_root:
-        raise ProofRefused("the consistency proof does not lead from the old root to the new one")
+        raise CAError("the consistency proof does not lead from the old root to the new one")

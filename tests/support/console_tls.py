@@ -10,8 +10,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from rossec.console.tls.certificates import key_pem
-from rossec.console.tls.own_authority import TlsAuthority
+from rossec.console.tls.certificates import TlsAuthority, key_pem
 
 NAME = "rossec.local"
 HOST = ipaddress.IPv4Address("192.168.1.5")

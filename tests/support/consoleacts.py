@@ -20,10 +20,10 @@ from ca.svid import build_request
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.console.access import ConsoleAccess
+from rossec.authority.console.approved_acts import acts_of
 from rossec.authority.console.approving import ApprovalDependencies, Approving
 from rossec.authority.console.grant_requests import Removals
 from rossec.authority.console.messages import ApprovalOutcome, Prepared, from_value
-from rossec.authority.console.serving import acts_of
 from rossec.authority.grant_queue import GrantRequestQueue
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations

@@ -35,9 +35,9 @@ rules: []
 """
 _WAIT_S: Final = 40.0
 _SHORT_CODES: Final = """import sys
-from rossec.authority.console import phone_codes
+from rossec.authority.console import access
 from rossec.cli.main import main
-phone_codes.CODE_LIFETIME = {}
+access.CODE_LIFETIME = {}
 main()
 """
 

@@ -19,7 +19,7 @@ from aiocoap.oscore_sitewrapper import OscoreSiteWrapper
 from aiocoap.transports.oscore import OSCOREAddress
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border.conversations import MAX_BLOCK
 from rossec.border.messages import NONCE_SIZE, R2_SIZE, name_context, thing_context, unwrapped, wrapped
 from tests.support.ports import free_port

@@ -20,7 +20,7 @@ from unittest import mock
 from ca.approvals.statement import StatementKind
 from ca.authority import Authority, create_root
 from ca.certificates import from_pem, sign_renewal
-from ca.domains.trust import verify_domains
+from ca.domains import verify_domains
 from ca.keys.private_keys import generate
 from ca.keys.signing import KeySigner
 from ca.revocation.lists import open_list
@@ -28,7 +28,7 @@ from ca.store.log import ApprovalState
 from ca.store.record import Store
 from ca.store.values import DAY, RequestState
 from ca.svid import build_request, check_request
-from ca.things.constrained_nodes import sign_statement
+from ca.things import sign_statement
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from tests.support import approving

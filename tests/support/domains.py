@@ -6,7 +6,7 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity, TrustAnchor
-from ca.domains.trust import Anchors, DomainList, ForeignDomain, sign_domains
+from ca.domains import Anchors, DomainList, ForeignDomain, sign_domains
 from ca.keys.signing import KeySigner
 from ca.revocation.lists import (
     MAX_AGE,

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 from ca.certificates import Identity
-from ca.domains.trust import DomainList, ForeignDomain, sign_domains
+from ca.domains import DomainList, ForeignDomain, sign_domains
 from ca.keys.signing import to_coordinates
 from rossec.federation.mesh import Mesh, mesh_of
 from rossec.federation.settings import FederationConfig, SiteSettings

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import pytest
 
-from ca.domains.trust import open_domains, sign_domains
+from ca.domains import open_domains, sign_domains
 from grants.model import Right
 from rossec.federation.settings import SiteFile, SiteSettings
 from rossec.home import NodeHome

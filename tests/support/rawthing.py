@@ -13,7 +13,7 @@ from aiocoap import Message
 from aiocoap.numbers import codes
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border import messages
 from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext, unprotected
 from rossec.errors import DatagramRefused

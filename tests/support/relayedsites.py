@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ca.certificates import Identity
-from ca.domains.trust import Anchors, ForeignDomain
+from ca.domains import Anchors, ForeignDomain
 from rossec.errors import LinkEnded
 from rossec.master.state.forwarded_ports import ForwardedPort, Target
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve

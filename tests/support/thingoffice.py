@@ -8,7 +8,7 @@ from ca.keys import private_keys
 from ca.keys.signing import KeySigner
 from ca.revocation.lists import open_list
 from ca.svid import build_request
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
 from rossec.home import NodeHome

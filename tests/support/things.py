@@ -6,7 +6,7 @@ from typing import Any, Final
 from ca.keys.signing import thumbprint
 from ca.store.record import Store
 from ca.store.signed_statements import ThingRow
-from ca.things.constrained_nodes import ThingKey, ThingStatement, sign_statement
+from ca.things import ThingKey, ThingStatement, sign_statement
 from tests.vectors.make_things import HOME, NOW, OTHER, STATEMENTS
 
 LAMP: Final = STATEMENTS["a key"]

@@ -3,7 +3,7 @@
 import secrets
 from collections.abc import Sequence
 
-from ca.domains.trust import ForeignDomain, NameRights, open_domains
+from ca.domains import ForeignDomain, NameRights, open_domains
 from ca.names import alias_of
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from ca.authority import DAY, Authority, create_root
 from ca.certificates import TrustAnchor
-from ca.domains.trust import (
+from ca.domains import (
     DOMAINS,
     TRUST_BUNDLE,
     DomainList,

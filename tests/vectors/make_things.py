@@ -10,14 +10,7 @@ from typing import Any, Final
 
 from ca.encoding import Value, encode
 from ca.keys.signing import Profile, thumbprint
-from ca.things.constrained_nodes import (
-    THING,
-    ThingKey,
-    ThingSecret,
-    ThingStatement,
-    peek_statement,
-    sign_statement,
-)
+from ca.things import THING, ThingKey, ThingSecret, ThingStatement, peek_statement, sign_statement
 from tests.vectors.narrowings import FixedSigner
 
 FILE: Final = Path(__file__).parent / "things" / "things.json"

@@ -8,7 +8,7 @@ key is done in the transaction of its approval.
 import logging
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
@@ -18,7 +18,7 @@ from ca import bounded, certificates, names, svid
 from ca.approvals import statement
 from ca.approvals.passkeys import to_approve
 from ca.authority import MAX_LIFETIME
-from ca.errors import ApprovalRefused, HintedError, RequestClosed, StoreError
+from ca.errors import ApprovalRefused, HintedError, StoreError
 from ca.keys.signing import thumbprint
 from ca.store import log, values
 from ca.store.record import CertificateRow, Store
@@ -26,10 +26,11 @@ from grants.model import ID_SIZE
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
 from rossec import clock, peer_limits
 from rossec.authority import renewals
-from rossec.authority.console import access, grant_requests, phone_codes
+from rossec.authority.console import access, grant_requests
 from rossec.authority.console.approving import Approved, ApprovedAct, Wanted, tried
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
+from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, check_record, sign_each
 from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall
@@ -91,9 +92,9 @@ class EnrollAct(ApprovedAct):
                 if row is None or expired or row.state is not values.RequestState.APPROVED:
                     state = "has expired" if row is None or expired else f"was {row.state}"
                     because = "" if row is None or expired or not row.reason else f": {row.reason}"
-                    raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
+                    raise StoreError(f"the request of {what.name} {state}{because}", "ask the node again")
                 if (row.wildcard, row.replaces) != (what.wildcard, what.replaces):
-                    raise RequestClosed(f"the request of {what.name} was approved otherwise", "look at it")
+                    raise StoreError(f"the request of {what.name} was approved otherwise", "look at it")
             # 2. The identity and the end of the approval, together.
             authority.issue(approved.payload, now, what.lifetime, replace_key=key, wildcard=what.wildcard)
             approved.conclude(store, f"{what.name} is enrolled", now)
@@ -147,7 +148,7 @@ def _approve(store: Store, what: statement.Enroll, at: int, reason: str) -> None
         store.identities.check_not_revoked(what.name, what.key)
         return
     if store.requests.find(what.csr) is None:
-        raise RequestClosed("the request has expired", "make a new request on the node")
+        raise StoreError("the request has expired", "make a new request on the node")
     replaced = what.name if what.replaces else None
     store.requests.approve(what.csr, at, reason, replace_key=replaced, wildcard=what.wildcard)
 
@@ -171,7 +172,7 @@ CODES_KEPT: Final = 600.0  # seconds
 class PasskeyAct(ApprovedAct):
     kind = statement.StatementKind.PASSKEY
 
-    def __init__(self, proposals: phone_codes.Proposals) -> None:
+    def __init__(self, proposals: access.Proposals) -> None:
         self._proposals = proposals
 
     def prepare(self, service: AuthorityService, now: int, number: bytes) -> Wanted:
@@ -400,3 +401,24 @@ def _check_holder(store: Store, approved: Approved, now: int) -> None:
     what = approved.what(statement.DelegateStatement)
     if store.valid_certificate(MASTER, now).thumbprint != what.holder:
         raise StoreError(f"{MASTER} has another key now", "look at it again")
+
+
+def acts_of(
+    work: AuthorityWork,
+    held: access.ConsoleAccess,
+    join_address: Callable[[], str],
+    elapsed: clock.Seconds | None = None,
+) -> Mapping[statement.StatementKind, ApprovedAct]:
+    """What a phone can approve; `elapsed` counts seconds and cannot be set."""
+    policy = work.policy_path()
+    acts: tuple[ApprovedAct, ...] = (
+        EnrollAct(policy),
+        grant_requests.GrantAct(policy),
+        PolicyAct(policy),
+        DelegateAct(),
+        IntermediateAct(),
+        PasskeyAct(held.proposed),
+        InvitationAct(work.home(), join_address, elapsed),
+        RevokeMasterAct(),
+    )
+    return {act.kind: act for act in acts}

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, TypeVar
 
 from ca.approvals.statement import MAX_PAYLOAD, GrantStatement, StatementKind
 from ca.encoding import Value, decode, encode
-from ca.errors import HintedError, RequestClosed, StoreError
+from ca.errors import HintedError, StoreError
 from ca.keys.signing import thumbprint
 from ca.names import check_name, is_master_name
 from ca.store import log, values
@@ -286,7 +286,7 @@ class Removals:
         why, at = checked_reason(reason), self._work.now()
         with self._work.record() as store, store.transaction():
             if store.requests.find(digest) is None:
-                raise RequestClosed("there is no such request", "it may have expired")
+                raise StoreError("there is no such request", "it may have expired")
             store.requests.deny(digest, at, why)
             _end_about(store, StatementKind.ENROLL, digest, why, at)
         return None

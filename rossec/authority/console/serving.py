@@ -12,19 +12,18 @@ import os
 import pwd
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from ca.approvals.statement import StatementKind
 from ca.encoding import Value
 from ca.errors import HintedError
-from rossec import clock, peer_limits
+from rossec import peer_limits
 from rossec.authority.console import approved_acts, messages
 from rossec.authority.console.access import ConsoleAccess
-from rossec.authority.console.approving import ApprovalDependencies, ApprovedAct, Approving
-from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
+from rossec.authority.console.approving import ApprovalDependencies, Approving
+from rossec.authority.console.grant_requests import Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
 from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries, stamp
 from rossec.authority.home import fingerprint
@@ -248,7 +247,7 @@ class Console:
         self.access = ConsoleAccess(work, operations.audit)
         self._network = network
         needs = ApprovalDependencies(work, operations.audit, self.rounds.wake, self.access.counter)
-        self.approving = Approving(needs, acts_of(work, self.access, join_address))
+        self.approving = Approving(needs, approved_acts.acts_of(work, self.access, join_address))
         self.rounds.add(self.approving.carry_out_waiting, first=True)
         self.master = MasterView(work, network.deliver if network else _fail, came_back=self.rounds.wake)
         self.service = ConsoleService(
@@ -301,27 +300,6 @@ class Deliveries:
             except HintedError:
                 self._states = {}
         return self._states
-
-
-def acts_of(
-    work: AuthorityWork,
-    access: ConsoleAccess,
-    join_address: Callable[[], str],
-    elapsed: clock.Seconds | None = None,
-) -> Mapping[StatementKind, ApprovedAct]:
-    """What a phone can approve; `elapsed` counts seconds and cannot be set."""
-    policy = work.policy_path()
-    acts: tuple[ApprovedAct, ...] = (
-        approved_acts.EnrollAct(policy),
-        GrantAct(policy),
-        approved_acts.PolicyAct(policy),
-        approved_acts.DelegateAct(),
-        approved_acts.IntermediateAct(),
-        approved_acts.PasskeyAct(access.proposed),
-        approved_acts.InvitationAct(work.home(), join_address, elapsed),
-        approved_acts.RevokeMasterAct(),
-    )
-    return {act.kind: act for act in acts}
 
 
 def _fail(call: StatementCall) -> object:

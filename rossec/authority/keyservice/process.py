@@ -22,7 +22,7 @@ from ca.keys.signing import Signer
 from rossec import clock
 from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
+from rossec.authority.keyservice.front_end import Handler, InnerChannel
 from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
 from rossec.authority.keyservice.operations import HeldKey, KeyOperations
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused

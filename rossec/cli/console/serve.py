@@ -12,8 +12,15 @@ from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
 from rossec.cli.console.phones import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
-from rossec.console.listening import only_console, write_address
-from rossec.console.options import HAND_OUT_PORT, ConsoleEndpoint, ConsoleOptions, check_origin, read_options
+from rossec.console.options import (
+    HAND_OUT_PORT,
+    ConsoleEndpoint,
+    ConsoleOptions,
+    check_origin,
+    only_console,
+    read_options,
+    write_address,
+)
 from rossec.console.tls import DIRECTORY, TlsAuthority, TlsSetup, describe, prepare_tls, renewed_from
 from rossec.console.tls import as_json as described
 from rossec.errors import ConfigurationError

@@ -56,6 +56,7 @@ class Overview(NamedTuple):
     def ending(self) -> frozenset[str]:
         grants = [each for each in self.held if each.is_ending]
         keys = {each.grant.holder for each in grants}
+        # An identity as a grant: revoked, not over by itself, and not every node has the list that says so.
         nodes = {
             each.key.hex()
             for each in self.nodes
@@ -117,7 +118,7 @@ async def questions(visit: Visit) -> tuple[tuple[GrantQuestion, ...], str]:
     """What nodes ask for, and why that is not known: the policy cannot be used; empty: it is."""
     try:
         return await visit.service.questions(), ""
-    except KeyServiceFailed:
+    except KeyServiceFailed:  # no fault of the policy: no page can be shown
         raise
     except HintedError as error:
         return (), str(error)
@@ -152,6 +153,7 @@ def name_of(text: str) -> str:
 def position(text: str | None) -> int:
     if not text:
         return 0
+    # Digits of other scripts are decimal too, and `int` of a long text takes the square of its time.
     if not (text.isascii() and text.isdecimal() and len(text) <= 12):
         raise HttpRefused("there is no such page", "go back to the first", status=404)
     return int(text)

@@ -17,10 +17,9 @@ from typing import Any, Final, NamedTuple
 
 from rossec import clock
 from rossec.authority.keyservice.process import CREDENTIALS
-from rossec.console.listening import listen
-from rossec.console.options import ConsoleEndpoint
-from rossec.console.preview.receiver import NAME
-from rossec.console.scanning import frames
+from rossec.console import scanning
+from rossec.console.options import ConsoleEndpoint, listen
+from rossec.console.preview import NAME
 from rossec.console.server import control
 from rossec.enrollment import CLOSER
 from rossec.errors import ConfigurationError, KeyMessageRefused
@@ -31,12 +30,12 @@ from rossec.host.workers import AskedWorker, keep_running, read_frame, start_wor
 MODULE: Final = "rossec.console.server.web"
 START: Final = 30.0  # seconds until it serves
 END: Final = 5.0  # seconds between the end of the connection and SIGKILL
-RECEIVER_MODULE: Final = "rossec.console.preview.receiver"
-WORKER: Final = worker_command("rossec.console.scanning.worker")
+RECEIVER_MODULE: Final = "rossec.console.preview"
+WORKER: Final = worker_command("rossec.console.scanning")
 DEADLINE: Final = 4.0  # seconds for a picture
 SCANNER_START: Final = 20.0  # seconds more for the first picture of a worker
 SCANNER_IDLE: Final = 60.0  # seconds without a picture after which a worker ends
-_SLOW: Final = frames.Unreadable("reading the picture took too long, or failed", CLOSER)
+_SLOW: Final = scanning.Unreadable("reading the picture took too long, or failed", CLOSER)
 _log = logging.getLogger("rossec.console")
 _scanner_log = logging.getLogger("rossec.console.scanner")
 
@@ -216,12 +215,12 @@ class ScannerSupervisor:
             while True:
                 try:
                     async with asyncio.timeout(self._idle):
-                        head = await reader.readexactly(frames.HEAD)
-                except TimeoutError:
+                        head = await reader.readexactly(scanning.HEAD)
+                except TimeoutError:  # nobody holds a camera now: its memory is given back
                     self._end()
-                    head = await reader.readexactly(frames.HEAD)
-                picture = await reader.readexactly(frames.size(head, frames.MAX_PICTURE))
-                writer.write(frames.write_answer(await self._read(picture)))
+                    head = await reader.readexactly(scanning.HEAD)
+                picture = await reader.readexactly(scanning.size(head, scanning.MAX_PICTURE))
+                writer.write(scanning.write_answer(await self._read(picture)))
                 await writer.drain()
         except (asyncio.IncompleteReadError, ConnectionError):
             return
@@ -229,14 +228,15 @@ class ScannerSupervisor:
             writer.transport.abort()
             self._end()
 
-    async def _read(self, picture: bytes) -> frames.Answer:
+    async def _read(self, picture: bytes) -> scanning.Answer:
         limit = self._deadline
         try:
             if self._worker is None:
+                # The first picture of a worker waits for its libraries too.
                 self._worker, limit = AskedWorker(self._command), self._deadline + SCANNER_START
             async with asyncio.timeout(limit):
-                body = await self._worker.ask(frames.frame(picture), frames.answer_size)
-                return frames.read_answer(body)
+                body = await self._worker.ask(scanning.frame(picture), scanning.answer_size)
+                return scanning.read_answer(body)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, KeyMessageRefused) as error:
             _scanner_log.warning("a picture was not read: %r", error)
             self._end()

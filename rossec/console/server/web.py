@@ -17,10 +17,10 @@ from typing import Final
 
 from rossec import clock
 from rossec.authority.console.client import ConsoleClient
+from rossec.console import scanning
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
 from rossec.console.samples import PreviewMemory, preview_size, read_preview
-from rossec.console.scanning import frames
 from rossec.console.server import control
 from rossec.console.server.serving import ConsoleServer
 from rossec.errors import ConfigurationError, KeyMessageRefused, RossecError, ScannerBusy
@@ -141,18 +141,18 @@ class ScannerClient:
         self._ended = False
 
     async def read(self, picture: bytes) -> str | None:
-        if not 0 < len(picture) <= frames.MAX_PICTURE:
-            raise RossecError(f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE)
+        if not 0 < len(picture) <= scanning.MAX_PICTURE:
+            raise RossecError(f"a picture has at most {scanning.MAX_PICTURE // 1024} kB here", _PASTE)
         if self._is_busy:
             raise ScannerBusy("another picture is being read", "wait a moment")
-        answer: asyncio.Future[frames.Answer | None] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[scanning.Answer | None] = asyncio.get_running_loop().create_future()
         self._is_busy = True
         # A task of its own: whoever asks may go away, and the next answer is the next picture's.
         self._tasks.spawn(self._work(picture, answer), name="a picture")
         match await answer:
-            case frames.Found(text):
+            case scanning.Found(text):
                 return text or None
-            case frames.Unreadable(message, hint):
+            case scanning.Unreadable(message, hint):
                 raise RossecError(message, hint)
             case _:
                 raise RossecError("pictures cannot be read any more", _PASTE)
@@ -166,7 +166,7 @@ class ScannerClient:
             self._streams[1].transport.abort()
             await asyncio.sleep(0)
 
-    async def _work(self, picture: bytes, answer: asyncio.Future[frames.Answer | None]) -> None:
+    async def _work(self, picture: bytes, answer: asyncio.Future[scanning.Answer | None]) -> None:
         loop = asyncio.get_running_loop()
         try:
             await asyncio.sleep(max(0.0, self._next - loop.time()))
@@ -177,16 +177,18 @@ class ScannerClient:
         if not answer.done():
             answer.set_result(found)
 
-    async def _ask(self, picture: bytes) -> frames.Answer | None:
+    async def _ask(self, picture: bytes) -> scanning.Answer | None:
         try:
             async with asyncio.timeout(TIMEOUT):
                 if self._streams is None:
                     self._streams = await asyncio.open_connection(sock=self._socket)
                 reader, writer = self._streams
-                writer.write(frames.frame(picture))
+                writer.write(scanning.frame(picture))
                 await writer.drain()
-                return frames.read_answer(await read_frame(reader, frames.answer_size))
+                return scanning.read_answer(await read_frame(reader, scanning.answer_size))
         except (OSError, EOFError, KeyMessageRefused):
+            # An answer that comes late would be taken for the next picture's: nothing is read any more.
+            # The text below the code can still be pasted.
             self._ended = True
             if self._streams is not None:
                 self._streams[1].transport.abort()

@@ -3,7 +3,14 @@
 `hand_out`, which needs a web server, is imported when it is used.
 """
 
-from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
-from rossec.console.tls.own_authority import TlsAuthority, as_json, describe
+from rossec.console.tls.certificates import (
+    DIRECTORY,
+    TlsAuthority,
+    TlsSetup,
+    as_json,
+    describe,
+    prepare_tls,
+    renewed_from,
+)
 
 __all__ = ["DIRECTORY", "TlsAuthority", "TlsSetup", "as_json", "describe", "prepare_tls", "renewed_from"]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from ca.certificates import MAX_AGE, MAX_RENEWAL, TrustAnchor, from_pem, open_renewal, retry_delay
-from ca.errors import CAError, RenewalRefused
+from ca.errors import CAError
 from ca.keys.signing import Signer, thumbprint
 from ca.revocation.trust_status import SKEW
 from grants import renewal
@@ -171,7 +171,7 @@ class IdentityRenewals:
             return RenewalAnswer(self._renewer(request, now, check), "identity renewed")
         # 2. What costs nothing first: a request is verified by several signatures, and a node asks often.
         if len(request) > MAX_RENEWAL:
-            raise RenewalRefused("a renewal that is too long")
+            raise CAError("a renewal that is too long")
         entry = self._entries.get(holder)
         entry = entry if entry is not None and _is_kept(entry, now) else None
         waiting = entry if entry is not None and not entry.is_answered else None
@@ -181,12 +181,12 @@ class IdentityRenewals:
         renewal = open_renewal(request, self._anchor, now, check)
         held, key = renewal.identity, renewal.request.thumbprint
         if held.thumbprint != holder:
-            raise RenewalRefused(f"this connection is not of {held.name}", "each node renews its own")
+            raise CAError(f"this connection is not of {held.name}", "each node renews its own")
         # 4. There is an answer; after a refusal that was told, and a pause, the node may ask anew.
         if entry is not None and entry.key == key:
             if entry.reason and not (entry.is_told and now >= entry.next_request_at):
                 entry.is_told = True
-                raise RenewalRefused(entry.reason)
+                raise CAError(entry.reason)
             if entry.not_after > held.not_after:
                 return RenewalAnswer(entry.bundle, "identity renewed")
         # 5. The same request is waiting, or another one comes too soon after the last.
@@ -201,7 +201,7 @@ class IdentityRenewals:
         self._prune(now)
         if holder not in self._entries and len(self._entries) >= MAX_KEPT:
             full = f"the master keeps {MAX_KEPT} requests for renewals and takes no more"
-            raise RenewalRefused(full, "where the authority is: rossec ca unlock --for 8h")
+            raise CAError(full, "where the authority is: rossec ca unlock --for 8h")
         next_at = now + retry_delay(held.not_before, held.not_after, SPACING)
         self._entries[holder] = _Entry(held.name, held.wildcard, key, request, now, now + MAX_AGE, next_at)
         self.on_asked()

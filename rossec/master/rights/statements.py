@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from ca.certificates import Identity, TrustAnchor
 from ca.domains import Anchors
-from ca.errors import CAError, HintedError, RenewalRefused, Revoked
+from ca.errors import CAError, HintedError, Revoked
 from ca.keys.signing import Signer
 from ca.names import MASTER, REMOTE, is_alias, shown
 from ca.revocation import lists, trust_status
@@ -263,9 +263,7 @@ class TrustState(revocation_lists.ListInForce):
 
 def _refuse_foreigner(caller: Caller) -> None:
     if caller.is_foreign:
-        raise RenewalRefused(
-            "nothing is renewed for a node of another domain", "ask the authority for a new grant"
-        )
+        raise CAError("nothing is renewed for a node of another domain", "ask the authority for a new grant")
 
 
 _REQUIRED_RIGHTS: Final = {Kind.PUBLISHER: Right.PUBLISH, Kind.SERVICE: Right.PROVIDE}

@@ -6,7 +6,7 @@ import pytest
 
 from ca.authority import Authority
 from ca.certificates import Identity, build_intermediate_request
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import CertificateExpired, CertificateRefused, DomainsRefused, ForeignCertificate, NotAdmitted
 from ca.keys.signing import KeySigner, to_coordinates
 from ca.svid import build_request

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.domains.trust import MAX_TRUST_BUNDLE, SKEW, open_bundle, sign_bundle
+from ca.domains import MAX_TRUST_BUNDLE, SKEW, open_bundle, sign_bundle
 from ca.errors import BundleRefused, CertificateRefused, PatternRefused
 from tests.support.pki import DAY, NOW, new_signer
 from tests.vectors.make_domains import FILE, HOSPITAL, TRUST_BUNDLES

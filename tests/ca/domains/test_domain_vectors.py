@@ -5,7 +5,7 @@ import json
 import pytest
 
 from ca.certificates import TrustAnchor
-from ca.domains.trust import Anchors, open_bundle, open_domains
+from ca.domains import Anchors, open_bundle, open_domains
 from ca.errors import CAError
 from tests.vectors.make_domains import FILE, LISTS, TRUST_BUNDLES, vectors
 

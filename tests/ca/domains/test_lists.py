@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ca import domains as trust
 from ca.certificates import TrustAnchor
-from ca.domains import trust
-from ca.domains.trust import DomainList, ForeignDomain, open_domains, sign_domains, verify_domains
+from ca.domains import DomainList, ForeignDomain, open_domains, sign_domains, verify_domains
 from ca.encoding import encode
 from ca.errors import CAError, DomainsRefused, EncodingError, NameRefused
 from ca.keys.signing import to_coordinates

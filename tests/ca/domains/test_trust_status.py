@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import (
     CertificateRefused,
     ClocksDisagree,
@@ -10,7 +10,6 @@ from ca.errors import (
     RevocationRefused,
     RevocationsStale,
     Revoked,
-    RollbackRefused,
 )
 from ca.keys.signing import thumbprint, to_coordinates
 from ca.revocation.trust_status import MAX_DELEGATES, SKEW, Revocations, TrustStatus
@@ -123,7 +122,7 @@ def test_an_empty_list_is_the_one_held(pair: Pair) -> None:
 def test_an_old_foreign_list_is_refused(pair: Pair) -> None:
     old = revoked(pair.hospital)
     pair.confirm_foreign(A, seq=2)
-    with pytest.raises(RollbackRefused, match=r"1\.1 is older than 1\.2"):
+    with pytest.raises(RevocationRefused, match=r"1\.1 is older than 1\.2"):
         take(pair, old, pair.master.stamp(old))
     with pytest.raises(RevocationRefused, match="for another list"):
         take(pair, b"", pair.master.stamp(old))

@@ -6,7 +6,6 @@ from ca.enrollment.sides import MAX_BAD_DIGITS, MAX_BAD_TAGS, NODE_TABLE, NodeEn
 from ca.errors import (
     ConflictingOffer,
     EnrollmentExpired,
-    EnrollmentLocked,
     EnrollmentMessageRefused,
     EnrollmentOver,
     EnrollmentRefused,
@@ -127,7 +126,7 @@ def test_five_bad_tags_lock_the_code() -> None:
     for _ in range(MAX_BAD_TAGS - 1):
         with pytest.raises(EnrollmentRefused, match="has not read the code"):
             node.receive(bad, NOW)
-    with pytest.raises(EnrollmentLocked, match="5 offers without the code's secret"):
+    with pytest.raises(EnrollmentOver, match="5 offers without the code's secret"):
         node.receive(bad, NOW)
     with pytest.raises(EnrollmentOver, match="over: 5 offers"):
         node.receive(offer, NOW)

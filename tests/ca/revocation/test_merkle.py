@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.errors import ProofRefused
+from ca.errors import CAError
 from ca.revocation import merkle
 from ca.revocation.merkle import EMPTY_ROOT, Tree, extend, leaf_hash, node_hash, root_of, verify_inclusion
 from tests.support.consistency import verify_consistency
@@ -130,22 +130,22 @@ def spoiled(proof: list[bytes]) -> list[list[bytes]]:
 def test_a_wrong_inclusion_is_refused(index: int, size: int) -> None:
     proof, root = TREE.inclusion(index, size), TREE.root(size)
     for wrong in spoiled(proof):
-        with pytest.raises(ProofRefused):
+        with pytest.raises(CAError, match=r"the inclusion proof (is too long|does not lead)"):
             verify_inclusion(LEAVES[index], index, size, wrong, root)
-    with pytest.raises(ProofRefused, match="does not lead to the root"):
+    with pytest.raises(CAError, match="does not lead to the root"):
         verify_inclusion(b"other", index, size, proof, root)
-    with pytest.raises(ProofRefused, match="does not lead to the root"):
+    with pytest.raises(CAError, match="does not lead to the root"):
         verify_inclusion(LEAVES[index], index, size, proof, flipped(root))
     for other in set(range(size)) - {index}:
-        with pytest.raises(ProofRefused):
+        with pytest.raises(CAError, match=r"the inclusion proof (is too long|does not lead)"):
             verify_inclusion(LEAVES[index], other, size, proof, root)
 
 
 @pytest.mark.parametrize(("index", "size"), [(-1, 3), (3, 3), (0, 0)])
 def test_a_missing_leaf_has_no_proof(index: int, size: int) -> None:
-    with pytest.raises(ProofRefused, match=f"there is no leaf {index} in a tree of {size}"):
+    with pytest.raises(CAError, match=f"there is no leaf {index} in a tree of {size}"):
         TREE.inclusion(index, size)
-    with pytest.raises(ProofRefused, match=f"there is no leaf {index} in a tree of {size}"):
+    with pytest.raises(CAError, match=f"there is no leaf {index} in a tree of {size}"):
         verify_inclusion(b"", index, size, [], EMPTY_ROOT)
 
 
@@ -153,50 +153,50 @@ def test_a_missing_leaf_has_no_proof(index: int, size: int) -> None:
 def test_a_wrong_continuation_is_refused(first: int, second: int) -> None:
     proof, old, new = TREE.consistency(first, second), TREE.root(first), TREE.root(second)
     for wrong in spoiled(proof):
-        with pytest.raises(ProofRefused):
+        with pytest.raises(CAError, match=r"the consistency proof (is too long|does not lead)"):
             verify_consistency(first, second, wrong, old, new)
     for roots in ((flipped(old), new), (old, flipped(new)), (new, old)):
-        with pytest.raises(ProofRefused, match="does not lead from the old root"):
+        with pytest.raises(CAError, match="does not lead from the old root"):
             verify_consistency(first, second, proof, *roots)
 
 
 def test_two_trees_of_one_size() -> None:
     verify_consistency(3, 3, [], ROOTS[2], ROOTS[2])
     for proof, root in (([], ROOTS[3]), ([EMPTY_ROOT], ROOTS[2])):
-        with pytest.raises(ProofRefused, match="two trees of the same size have different roots"):
+        with pytest.raises(CAError, match="two trees of the same size have different roots"):
             verify_consistency(3, 3, proof, ROOTS[2], root)
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 3), (4, 3), (-1, 3)])
 def test_an_empty_or_larger_tree_is_not_extended(first: int, second: int) -> None:
     message = f"a tree of {second} leaves does not extend one of {first}"
-    with pytest.raises(ProofRefused, match=message):
+    with pytest.raises(CAError, match=message):
         TREE.consistency(first, second)
-    with pytest.raises(ProofRefused, match=message):
+    with pytest.raises(CAError, match=message):
         verify_consistency(first, second, [], EMPTY_ROOT, EMPTY_ROOT)
 
 
 def test_an_empty_continuation() -> None:
-    with pytest.raises(ProofRefused, match="the consistency proof is empty"):
+    with pytest.raises(CAError, match="the consistency proof is empty"):
         verify_consistency(3, 4, [], ROOTS[2], ROOTS[3])
 
 
 @pytest.mark.parametrize("size", [-1, 9])
 def test_states_the_tree_never_had(size: int) -> None:
-    with pytest.raises(ProofRefused, match=f"a tree of 8 leaves never had {size}"):
+    with pytest.raises(CAError, match=f"a tree of 8 leaves never had {size}"):
         TREE.root(size)
 
 
 @pytest.mark.parametrize("proof", [[b""], [bytes(31)], [bytes(32)] * 65])
 def test_proofs_have_a_form(proof: list[bytes]) -> None:
-    with pytest.raises(ProofRefused, match="a proof is at most 64 hashes of 32 bytes"):
+    with pytest.raises(CAError, match="a proof is at most 64 hashes of 32 bytes"):
         verify_inclusion(b"", 0, 8, proof, ROOTS[7])
-    with pytest.raises(ProofRefused, match="a proof is at most 64 hashes of 32 bytes"):
+    with pytest.raises(CAError, match="a proof is at most 64 hashes of 32 bytes"):
         verify_consistency(1, 8, proof, ROOTS[0], ROOTS[7])
 
 
 def test_peaks_fit_their_size() -> None:
-    with pytest.raises(ProofRefused, match="a tree of 3 leaves does not have 1 peaks"):
+    with pytest.raises(CAError, match="a tree of 3 leaves does not have 1 peaks"):
         extend([EMPTY_ROOT], 3, b"")
 
 

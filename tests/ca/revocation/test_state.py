@@ -3,7 +3,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from ca.errors import RevocationRefused, RevocationsStale, Revoked, RollbackRefused
+from ca.errors import RevocationRefused, RevocationsStale, Revoked
 from ca.revocation.lists import MAX_AGE, RevocationList, sign_list
 from ca.revocation.trust_status import SKEW, Revocations
 from tests.ca.revocation.signed_lists import KEY, LIFE, SIGNER, A, B, fresh, never, signed, stamp, twisted
@@ -112,7 +112,7 @@ def test_the_same_list_with_a_twisted_signature() -> None:
 def test_an_older_list_is_refused() -> None:
     state = fresh()
     state.update(signed(5, A), NOW)
-    with pytest.raises(RollbackRefused, match=r"revocation list 1\.4 is older than 1\.5") as caught:
+    with pytest.raises(RevocationRefused, match=r"revocation list 1\.4 is older than 1\.5") as caught:
         state.update(signed(4), NOW)
     assert "replayed" in caught.value.hint
     assert state.entries == {A}
@@ -121,7 +121,7 @@ def test_an_older_list_is_refused() -> None:
 def test_an_older_list_is_refused_after_a_restart() -> None:
     state = Revocations(SIGNER.public_key, floor=(2, 5))
     for old in (signed(4, epoch=2), signed(99, epoch=1)):
-        with pytest.raises(RollbackRefused):
+        with pytest.raises(RevocationRefused, match="is older than"):
             state.update(old, NOW)
     state.update(signed(5, epoch=2), NOW)
 
@@ -134,7 +134,7 @@ def test_a_new_epoch_begins_anew() -> None:
 
 def test_two_lists_under_one_number() -> None:
     state = fresh(A)
-    with pytest.raises(RollbackRefused, match=r"two different revocation lists 1\.1") as caught:
+    with pytest.raises(RevocationRefused, match=r"two different revocation lists 1\.1") as caught:
         state.update(signed(1), NOW)
     assert "new epoch" in caught.value.hint
     assert state.entries == {A}
@@ -224,7 +224,7 @@ class Moving(RuleBasedStateMachine):
     def deliver(self, seq: int) -> None:
         try:
             self.state.update(self.lists[seq], self.now)
-        except RollbackRefused:
+        except RevocationRefused:
             assert seq < self.highest
         else:
             assert seq >= self.highest

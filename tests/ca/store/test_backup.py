@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.encoding import Value, encode
-from ca.errors import BackupRefused, PassphraseRefused
+from ca.errors import CAError, PassphraseRefused
 from ca.keys import passphrases
 from ca.keys.passphrases import seal, unseal
 
@@ -44,7 +44,7 @@ def test_every_byte_counts(place: int) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"tar", DATA[:43], b"x" + DATA])
 def test_a_file_that_is_not_a_backup_is_refused(data: bytes) -> None:
-    with pytest.raises(BackupRefused, match="this is not a backup of an authority"):
+    with pytest.raises(CAError, match="this is not a backup of an authority"):
         unseal(data, WORDS)
 
 
@@ -58,7 +58,7 @@ def test_a_truncated_or_extended_backup_is_refused() -> None:
     "name", ["", "..", "../ca.key", "/etc/passwd", "node/../x", "a/b/c/d/e", ".hidden", "a\0", "é"]
 )
 def test_names_stay_inside(name: str, tmp_path: Path) -> None:
-    with pytest.raises(BackupRefused, match="is not a file of an authority"):
+    with pytest.raises(CAError, match="is not a file of an authority"):
         sealed({name: b""})
 
 
@@ -83,13 +83,13 @@ def test_malformed_content_of_a_backup_is_refused(
     value: Value, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = forged(value, monkeypatch)
-    with pytest.raises(BackupRefused, match=message):
+    with pytest.raises(CAError, match=message):
         unseal(data, WORDS)
 
 
 def test_too_large_input_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(passphrases, "MAX_BACKUP", 90_000)
-    with pytest.raises(BackupRefused, match="too large for one backup"):
+    with pytest.raises(CAError, match="too large for one backup"):
         sealed()
-    with pytest.raises(BackupRefused, match="this is not a backup"):
+    with pytest.raises(CAError, match="this is not a backup"):
         unseal(DATA, WORDS)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.trust import DomainList, ForeignDomain, sign_domains
+from ca.domains import DomainList, ForeignDomain, sign_domains
 from ca.errors import LogDamaged
 from ca.keys.signing import KeySigner
 from ca.revocation.merkle import Tree

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import ForeignDomain
+from ca.domains import ForeignDomain
 from ca.errors import DomainUnknown, StoreError
 from ca.store.record import Store
 from ca.store.signed_statements import DomainRow, check_domains_apart

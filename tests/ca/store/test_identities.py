@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import RenewalRefused, StoreError
+from ca.errors import CAError, StoreError
 from ca.store.record import Store
 from ca.store.values import CertificateRow
 from tests.support import refusal_texts
@@ -34,7 +34,7 @@ def test_the_newest_key_may_name_its_successor(store: Store) -> None:
 
 def test_an_older_key_may_not(store: Store) -> None:
     store.add_certificate(row(2, NEW), NOW, renews=OLD)
-    with pytest.raises(RenewalRefused, match="/a was renewed already, by another key"):
+    with pytest.raises(CAError, match="/a was renewed already, by another key"):
         store.add_certificate(row(3, THIRD), NOW, renews=OLD)
 
 

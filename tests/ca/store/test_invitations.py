@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import InvitationRefused, LogDamaged, StoreError
+from ca.errors import JoinRefused, LogDamaged, StoreError
 from ca.store.identities import InvitationRow, InvitationUse
 from ca.store.record import Store
 from tests.support.pki import new_signer
@@ -59,9 +59,9 @@ def test_each_use_is_counted_and_the_same_request_once(store: Store) -> None:
     store.invitations.take(use(1, NOW + 9))
     store.invitations.take(use(2))
     assert store.invitations.uses(ID) == [use(1), use(2)]
-    with pytest.raises(InvitationRefused, match="has had its 2 uses"):
+    with pytest.raises(JoinRefused, match="has had its 2 uses"):
         store.invitations.take(use(3))
-    with pytest.raises(InvitationRefused, match="has had its 2 uses"):
+    with pytest.raises(JoinRefused, match="has had its 2 uses"):
         store.invitations.check_open(ID, NOW)
     store.invitations.take(use(2))  # its answer was lost
     assert [entry.what for entry in store.log.entries()] == ["invitation", "join", "join"]
@@ -70,7 +70,7 @@ def test_each_use_is_counted_and_the_same_request_once(store: Store) -> None:
 
 def test_an_expired_invitation_is_refused(store: Store) -> None:
     store.invitations.take(use(1, ROW.expires))
-    with pytest.raises(InvitationRefused, match="has expired"):
+    with pytest.raises(JoinRefused, match="has expired"):
         store.invitations.take(use(2, ROW.expires + 1))
 
 
@@ -80,7 +80,7 @@ def test_an_unknown_invitation_is_refused(store: Store) -> None:
         lambda: store.invitations.take(use(1)._replace(invitation=bytes(32))),
         lambda: store.invitations.end(bytes(32), "", NOW),
     ):
-        with pytest.raises(InvitationRefused, match="no such invitation"):
+        with pytest.raises(JoinRefused, match="no such invitation"):
             call()
 
 
@@ -89,7 +89,7 @@ def test_an_ended_invitation_is_refused(store: Store) -> None:
     store.invitations.end(ID, "leaked", NOW)
     store.invitations.end(ID, "again", NOW)
     assert store.invitations.ended(ID) == "leaked"
-    with pytest.raises(InvitationRefused, match="was ended: leaked"):
+    with pytest.raises(JoinRefused, match="was ended: leaked"):
         store.invitations.take(use(1))
     store.log.audit(new_signer().public_key)
 

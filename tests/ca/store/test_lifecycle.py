@@ -2,7 +2,7 @@ import itertools
 
 import pytest
 
-from ca.errors import RequestClosed
+from ca.errors import StoreError
 from ca.store.values import DAY, OPEN, RETENTION, TRANSITIONS, RequestRow, RequestState, advance
 
 NOW = 1_800_000_000
@@ -33,7 +33,7 @@ def test_the_ways_there_are(old: RequestState, new: RequestState) -> None:
 
 @pytest.mark.parametrize(("old", "new"), sorted(set(itertools.product(RequestState, RequestState)) - WAYS))
 def test_other_transitions_are_refused(old: RequestState, new: RequestState) -> None:
-    with pytest.raises(RequestClosed, match=f"the request of /a is {old} and cannot be {new}"):
+    with pytest.raises(StoreError, match=f"the request of /a is {old} and cannot be {new}"):
         advance(row(old), new, NOW)
 
 
@@ -41,5 +41,5 @@ def test_other_transitions_are_refused(old: RequestState, new: RequestState) -> 
 def test_a_request_expires(state: RequestState) -> None:
     assert row(state).expires == NOW + DAY
     advance(row(state), RequestState.DENIED, NOW + DAY)
-    with pytest.raises(RequestClosed, match=f"was {state} for too long and has expired"):
+    with pytest.raises(StoreError, match=f"was {state} for too long and has expired"):
         advance(row(state), RequestState.DENIED, NOW + DAY + 1)

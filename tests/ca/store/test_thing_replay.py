@@ -12,7 +12,7 @@ from ca.store.database import append_entry
 from ca.store.record import Store
 from ca.store.signed_statements import ThingRow
 from ca.store.values import digest_of
-from ca.things.constrained_nodes import sign_statement
+from ca.things import sign_statement
 from tests.support.things import FAN, LAMP, add_thing, again, row_of
 from tests.vectors.make_things import HOME, NOW, OTHER
 

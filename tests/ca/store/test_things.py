@@ -10,7 +10,7 @@ import pytest
 from ca.errors import StoreError
 from ca.store.record import Store
 from ca.store.signed_statements import check_things_apart
-from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement
+from ca.things import ThingKey, ThingSecret, ThingStatement
 from tests.support.things import FAN, LAMP, add_thing, again, elsewhere
 from tests.vectors.make_things import NOW, OTHER, SECRET
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ca.encoding import encode
 from ca.errors import KeyRefused, ThingRefused
 from ca.keys.signing import thumbprint
-from ca.things.constrained_nodes import (
+from ca.things import (
     MAX_CCS,
     ThingKey,
     ThingSecret,

@@ -4,7 +4,7 @@ import pytest
 import segno
 
 from ca.errors import ThingRefused
-from ca.things.constrained_nodes import parse_secret, secret_text
+from ca.things import parse_secret, secret_text
 
 SECRET = bytes(range(16))
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ca import things as module
 from ca.errors import CAError, NameRefused, ThingOutdated, ThingRefused
-from ca.things import constrained_nodes as module
-from ca.things.constrained_nodes import (
+from ca.things import (
     THING,
     ThingSecret,
     check_thing_name,

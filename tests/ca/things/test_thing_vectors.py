@@ -6,7 +6,7 @@ import pytest
 
 from ca.errors import CAError
 from ca.keys.signing import from_coordinates
-from ca.things.constrained_nodes import ThingKey, open_statement, peek_statement, read_ccs
+from ca.things import ThingKey, open_statement, peek_statement, read_ccs
 from tests.vectors.make_things import FILE, STATEMENTS, vectors
 
 V = json.loads(FILE.read_text())

@@ -9,7 +9,7 @@ import pytest
 
 from ca.errors import (
     ApprovalRefused,
-    BackupRefused,
+    CAError,
     LogDamaged,
     PassphraseRefused,
     RecordUnusable,
@@ -118,7 +118,7 @@ def test_revocations_come_back_from_a_tree_with_its_entries(
     home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
     tree, entries = home.revocation_list(), home.newest_statement()[1]
     assert is_tree(tree)
-    with pytest.raises(BackupRefused, match="a tree, which does not contain") as caught:
+    with pytest.raises(CAError, match="a tree, which does not contain") as caught:
         restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree)
     assert "--entries" in caught.value.hint
     for wrong in (TreeEntries([b"x" * 32]).encoded(), b"garbage"):
@@ -156,7 +156,7 @@ def test_nothing_is_overwritten_unless_it_is_said(home: AuthorityHome) -> None:
     data, root = back_up(home, PASSPHRASE), home.path.parent
     before = content(home)
     for over in (None, "lab"):
-        with pytest.raises(BackupRefused, match="there is an authority in") as caught:
+        with pytest.raises(CAError, match="there is an authority in") as caught:
             restore(root, data, PASSPHRASE, NOW, over=over)
         assert "--over home" in caught.value.hint
     assert content(home) == before
@@ -169,10 +169,10 @@ def test_nothing_is_overwritten_unless_it_is_said(home: AuthorityHome) -> None:
 def test_an_older_state_is_refused_unless_it_is_said(home: AuthorityHome) -> None:
     data, root = back_up(home, PASSPHRASE), home.path.parent
     home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
-    with pytest.raises(BackupRefused, match="the backup lacks 2 entries of the log") as caught:
+    with pytest.raises(CAError, match="the backup lacks 2 entries of the log") as caught:
         restore(root, data, PASSPHRASE, NOW, over="home")
     assert "--forget 2" in caught.value.hint
-    with pytest.raises(BackupRefused, match="lacks 2 entries"):
+    with pytest.raises(CAError, match="lacks 2 entries"):
         restore(root, data, PASSPHRASE, NOW, over="home", forget=1)
     assert revoked(home) == {b"k" * 32}
     restore(root, data, PASSPHRASE, NOW, over="home", forget=2)
@@ -182,7 +182,7 @@ def test_an_older_state_is_refused_unless_it_is_said(home: AuthorityHome) -> Non
 def test_another_authority_is_never_replaced(home: AuthorityHome, tmp_path: Path) -> None:
     other = AuthorityHome.create(tmp_path / "other", "home", PASSPHRASE, NOW)
     data = back_up(other, PASSPHRASE)
-    with pytest.raises(BackupRefused, match="is not the one in the backup"):
+    with pytest.raises(CAError, match="is not the one in the backup"):
         restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
 
 
@@ -236,7 +236,7 @@ def test_a_home_below_a_directory_called_grants(authority: Path, tmp_path: Path)
 def test_what_is_damaged_is_moved_away_by_hand(home: AuthorityHome, lost: str) -> None:
     data = back_up(home, PASSPHRASE)
     (home.path / lost).unlink()
-    with pytest.raises(BackupRefused, match="is incomplete") as caught:
+    with pytest.raises(CAError, match="is incomplete") as caught:
         restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
     assert "move that directory away" in caught.value.hint
     home.path.rename(home.path.with_name("damaged"))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import Anchors, DomainList, ForeignDomain
+from ca.domains import Anchors, DomainList, ForeignDomain
 from ca.errors import DomainsRefused
 from rossec.authority.backup import Restored, back_up, restore
 from rossec.authority.home import AuthorityHome

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import BackupRefused, PathRefused
+from ca.errors import CAError, PathRefused
 from rossec.authority import backup
 from rossec.authority.keyservice import messages
 
@@ -80,7 +80,7 @@ def test_a_backup_of_an_older_version_may_have_more_in_its_places() -> None:
 
 @pytest.mark.parametrize("name", ["a/b", "console/x", "node/foreign/x", "outgoing/x.key"])
 def test_other_places_are_refused(name: str) -> None:
-    with pytest.raises(BackupRefused, match="is not a file of an authority"):
+    with pytest.raises(CAError, match="is not a file of an authority"):
         backup.restorable({name: b""})
 
 

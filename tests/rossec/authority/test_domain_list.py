@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import Anchors, open_domains
+from ca.domains import Anchors, open_domains
 from ca.keys.signing import to_coordinates
 from rossec.authority import signing
 from tests.support import trust

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from ca.certificates import to_pem
-from ca.domains.trust import Anchors, DomainList, ForeignDomain, open_bundle, open_domains
+from ca.domains import Anchors, DomainList, ForeignDomain, open_bundle, open_domains
 from ca.errors import BundleRefused, CertificateRefused, DomainsRefused, DomainUnknown, StoreError
 from ca.revocation.lists import open_list
 from ca.revocation.trust_status import Revocations, TrustStatus

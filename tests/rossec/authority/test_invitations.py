@@ -6,7 +6,7 @@ import pytest
 from ca.enrollment.join import RefuseReason
 from ca.errors import NameRefused, PatternRefused
 from ca.revocation.lists import open_list
-from ca.things.constrained_nodes import sign_statement
+from ca.things import sign_statement
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import InvitationStatus, end, find, invitations, invite, revoke_nodes
 from rossec.errors import ConfigurationError

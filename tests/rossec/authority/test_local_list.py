@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import open_domains
+from ca.domains import open_domains
 from ca.revocation.lists import TreeEntries, is_tree, open_list, open_tree
 from rossec.authority.home import AuthorityHome
 from rossec.authority.local_list import LocalList

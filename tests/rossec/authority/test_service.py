@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import build_intermediate_request, from_pem
-from ca.errors import PassphraseRefused, RequestClosed, StoreError
+from ca.errors import PassphraseRefused, StoreError
 from ca.keys import private_keys
 from ca.keys.signing import KeySigner
 from ca.revocation.lists import open_list
@@ -158,7 +158,7 @@ def test_a_request_for_an_identity_is_approved_or_denied(office: Office) -> None
     row = service.identities.add_request(check_request(other, "home"), other, "a test")
     service.identities.deny_request(row, "unknown")
     assert service.identities.request(row.digest.hex()).reason == "unknown"
-    with pytest.raises(RequestClosed):
+    with pytest.raises(StoreError, match="is denied and cannot be issued"):
         office.issue(other)
     with pytest.raises(ConfigurationError, match="'xx' is not a request id"):
         service.identities.request("xx")

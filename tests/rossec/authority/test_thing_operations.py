@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import StoreError, ThingRefused
-from ca.things.constrained_nodes import ThingSecret, open_statement
+from ca.things import ThingSecret, open_statement
 from rossec.authority import signing
 from rossec.authority.service import ThingOrder
 from rossec.authority.signing import required_entries

@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import MESSAGE_BURST, SOURCE_BURST, Conversation
 from rossec.border.endpoint import HANDSHAKE_PATH, HANDSHAKES, CoapEndpoint, CoapRequest

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border import handshakes, messages
 from rossec.border.handshakes import ID_SIZE, PENDING_FOR, Handshakes, StaticKey
 from rossec.border.messages import KEY_SIZE, MAX_ID, SALT_SIZE, OscoreContext

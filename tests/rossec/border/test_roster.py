@@ -8,7 +8,7 @@ import pytest
 
 from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list
 from ca.revocation.trust_status import Revocations
-from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement, sign_statement
+from ca.things import ThingKey, ThingSecret, ThingStatement, sign_statement
 from rossec.border.bridge import Roster
 from rossec.saved_statements import ThingFiles
 from tests.support.pki import new_signer

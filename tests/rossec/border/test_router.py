@@ -8,7 +8,7 @@ import pytest
 from aiocoap.oscore import NotAProtectedMessage
 
 from ca.encoding import decode, encode
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from grants.model import Right
 from rossec.node import Node
 from tests.support.border import LAMP, BorderSite

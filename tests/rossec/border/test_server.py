@@ -8,7 +8,7 @@ import pytest
 from aiocoap.numbers import codes
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border import messages
 from rossec.border.border_router import Server
 from rossec.border.conversations import Conversation

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.constrained_nodes import read_ccs
+from ca.things import read_ccs
 from rossec.demo import thing
 from rossec.errors import ConfigurationError
 

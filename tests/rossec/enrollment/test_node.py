@@ -7,7 +7,7 @@ import pytest
 from ca.enrollment import qr
 from ca.enrollment.messages import Abort, Fetch, Message, Reason, frame, read, write
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
-from ca.errors import ConflictingOffer, EnrollmentExpired, EnrollmentLocked, EnrollmentOver, EnrollmentRefused
+from ca.errors import ConflictingOffer, EnrollmentExpired, EnrollmentOver, EnrollmentRefused
 from rossec.enrollment import sessions
 from rossec.enrollment.enroll import WaitingNode
 from tests.support import refusal_texts
@@ -170,7 +170,7 @@ async def test_offers_without_the_secret_lock_the_code() -> None:
             assert isinstance(answer, Abort)
             reasons.append(answer.reason)
         assert reasons == [Reason.REFUSED] * 4 + [Reason.OVER]
-        with pytest.raises(EnrollmentLocked):
+        with pytest.raises(EnrollmentOver, match="5 offers without the code's secret"):
             await stage.ends(NodeState.PENDING)
     assert len(stage.refused) == 5
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.trust import ForeignDomain, NameRights
+from ca.domains import ForeignDomain, NameRights
 from grants.model import Right
 from rossec.errors import AnswerMalformed, SiteRefused
 from rossec.federation import exchange

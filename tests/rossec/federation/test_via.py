@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.trust import ForeignDomain
+from ca.domains import ForeignDomain
 from rossec.errors import RelayRefused
 from rossec.federation import follower
 from rossec.federation.follower import SitePorts

@@ -4,7 +4,7 @@ from contextlib import AsyncExitStack
 from itertools import count
 from typing import Any, Final
 
-from ca.domains.trust import DomainList, ForeignDomain, sign_domains
+from ca.domains import DomainList, ForeignDomain, sign_domains
 from ca.keys.signing import to_coordinates
 from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ca.errors import CAError, CertificateExpired, RollbackRefused
+from ca.errors import CAError, CertificateExpired, RevocationRefused
 from grants.model import Right
 from grants.renewal import open_delegation
 from rossec.errors import ConfigurationError, NodeShutdown, RossecError
@@ -116,7 +116,7 @@ async def test_a_node_refuses_an_older_list_after_its_own_restart(
 
     with monkeypatch.context() as silent:
         silent.setattr(MasterSession, "_send_held_list", keep_it)
-        with pytest.raises(RollbackRefused, match="older"):
+        with pytest.raises(RevocationRefused, match="older"):
             async with site.node("/robot"):
                 pass
     async with site.node("/robot") as robot:

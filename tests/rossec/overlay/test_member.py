@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import CAError, NotAdmitted, RevocationsStale, Revoked
 from rossec.errors import ChannelClosed, ConfigurationError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve

@@ -11,9 +11,9 @@ from ca.errors import HintedError
 from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.errors import ProtocolViolation, RelayRefused, StreamRefused
 from rossec.host.addresses import is_near, is_relayed, source_for
-from rossec.overlay import targets as module
+from rossec.overlay import relay as module
 from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
-from rossec.overlay.targets import LinkPeer, Targets, dial_from
+from rossec.overlay.relay import LinkPeer, Targets, dial_from
 from tests.support.relays import carried, linked
 
 PEER = LinkPeer("clinic", "/remote/clinic/relay")

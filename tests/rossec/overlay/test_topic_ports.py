@@ -11,8 +11,8 @@ from ca.errors import Revoked
 from rossec.errors import RelayRefused, RossecError
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.rpc.calls import serve_calls
-from rossec.overlay import targets as module
-from rossec.overlay.targets import TopicPorts
+from rossec.overlay import relay as module
+from rossec.overlay.relay import TopicPorts
 from rossec.ros.names import PORTS
 from rossec.ros.xmlrpc import Fault
 from tests.support.site import Site

@@ -6,7 +6,7 @@ import pytest
 
 from rossec.errors import AnswerMalformed
 from rossec.master.state.forwarded_ports import MAX_FORWARDED_PORTS, ForwardedPort, Target
-from rossec.overlay.wanted_ports import REPORTED_AT_ONCE, Orders, WantedPorts
+from rossec.overlay.masters import REPORTED_AT_ONCE, Orders, WantedPorts
 
 ROBOT, ARM = Target("office", "node", "/robot"), Target("office", "node", "/arm")
 AT = ForwardedPort("127.0.0.1", 7001)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.encoding import Value, encode
 from ca.errors import NameRefused, NotAdmitted, RevocationsStale, Revoked
 from ca.keys.signing import thumbprint

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from ca.errors import DomainsRefused, NotAdmitted, RevocationsStale, Revoked, RollbackRefused
+from ca.errors import DomainsRefused, NotAdmitted, RevocationRefused, RevocationsStale, Revoked
 from ca.revocation.lists import digest
 from ca.revocation.trust_status import TrustStatus
 from rossec.clock import Clock
@@ -262,7 +262,7 @@ def test_what_the_master_may_not_push(robot: Robot) -> None:
     stamp, chain = pair.master.stamp(robot.data), [pair.master.leaf]
     new = revoked(pair.hospital, KEY, seq=2)
     robot.updates.take_foreign(DOMAIN, new, pair.master.stamp(new, 2), chain)
-    with pytest.raises(RollbackRefused):
+    with pytest.raises(RevocationRefused, match="is older than"):
         robot.updates.take_foreign(DOMAIN, robot.data, stamp, chain)
     with pytest.raises(NotAdmitted, match="not listed"):
         robot.updates.take_foreign("elsewhere", robot.data, stamp, chain)
@@ -277,7 +277,7 @@ def test_a_domain_listed_again_remembers_its_saved_list(robot: Robot) -> None:
     new = revoked(pair.hospital, KEY, seq=2)
     robot.files.save_foreign(pair.hospital.anchor, new)
     assert robot.updates.take_domains(robot.newer(foreign(pair.hospital, label="clinic")))
-    with pytest.raises(RollbackRefused):
+    with pytest.raises(RevocationRefused, match="is older than"):
         robot.updates.take_foreign(DOMAIN, robot.data, b"", [])
     assert not robot.updates.take_domains(robot.anchors.data)
 

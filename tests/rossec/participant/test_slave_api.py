@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.errors import RollbackRefused
+from ca.errors import RevocationRefused
 from rossec.participant.slave_api import ALIAS_ASKED, NO_TRANSPORT, SlaveApi
 from tests.support.site import Site
 
@@ -26,7 +26,7 @@ class Node:
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
         if params[0] == b"older":
-            raise RollbackRefused("older than one seen")
+            raise RevocationRefused("older than one seen")
         self.received.append((method, *params, master.name))
 
     def shutdown_requested(self, reason: str) -> None:

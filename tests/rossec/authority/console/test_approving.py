@@ -1,11 +1,13 @@
 """Approving: prepared, touched, recorded and carried out once, also when the key comes later."""
 
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
 from ca.approvals.statement import Statement, StatementKind
-from ca.errors import ApprovalOver, ApprovalRefused, RequestClosed
+from ca.errors import ApprovalOver, ApprovalRefused, StoreError
+from rossec.authority.console.approved_acts import acts_of
 from rossec.authority.console.approving import KINDS, WAITS
 from rossec.authority.console.messages import PREPARED
 from rossec.errors import KeyServiceRefused
@@ -18,8 +20,11 @@ def acts(tmp_path: Path) -> Acts:
     return Acts(tmp_path / "home")
 
 
-def test_every_kind_that_is_prepared_has_an_act() -> None:
-    assert KINDS.keys() == PREPARED.keys()
+def test_every_kind_that_is_prepared_has_an_act_that_takes_these_arguments(acts: Acts) -> None:
+    """What the socket admits is what the acts declare, and nothing else."""
+    found = acts_of(acts.work, acts.access, str)
+    declared = {kind: tuple(get_type_hints(act.prepare).values())[2:-1] for kind, act in found.items()}
+    assert {KINDS[name]: arguments for name, arguments in PREPARED.items()} == declared
 
 
 def test_a_statement_says_what_would_be_done(acts: Acts) -> None:
@@ -162,7 +167,7 @@ def test_what_is_refused_at_once_is_not_recorded(acts: Acts) -> None:
     again = acts.asks("/other", csr=(other := acts.csr("/other")))
     twice = acts.asks("/other", csr=other)
     assert acts.touch(again).state == "waiting"
-    with pytest.raises(RequestClosed, match="approved and cannot be approved"):
+    with pytest.raises(StoreError, match="approved and cannot be approved"):
         acts.touch(twice)
     with acts.store() as store:
         assert len(store.approvals.all()) == 2

@@ -6,7 +6,7 @@ import pytest
 
 from ca.approvals.passkeys import Challenge, Purpose
 from ca.errors import ApprovalRefused
-from rossec.authority.console.phone_codes import CHALLENGE_LIFETIME, MAX_USED, LoginChallenges
+from rossec.authority.console.access import CHALLENGE_LIFETIME, MAX_USED, LoginChallenges
 from tests.support import refusal_texts
 
 NOW = 1_800_000_000

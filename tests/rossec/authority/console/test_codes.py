@@ -5,14 +5,7 @@ import hashlib
 
 import pytest
 
-from rossec.authority.console.phone_codes import (
-    CODE_LIFETIME,
-    MAX_CODES,
-    MAX_FAILURES,
-    PERIOD,
-    Codes,
-    CodeUse,
-)
+from rossec.authority.console.access import CODE_LIFETIME, MAX_CODES, MAX_FAILURES, PERIOD, Codes, CodeUse
 from rossec.errors import PhoneCodeRefused
 
 TERMINAL, PHONE = CodeUse.TERMINAL, CodeUse.PHONE

@@ -6,7 +6,7 @@ import pytest
 
 from ca.authority import MAX_LIFETIME
 from ca.certificates import build_intermediate_request, from_pem
-from ca.errors import HintedError, RequestClosed, RequestRefused, StoreError
+from ca.errors import HintedError, RequestRefused, StoreError
 from ca.svid import build_request
 from rossec.errors import KeyServiceRefused
 from tests.support import refusal_texts
@@ -103,7 +103,7 @@ def test_a_request_that_expired_before_the_touch_is_refused(acts: Acts) -> None:
     acts.pass_time(200)
     with acts.store() as store:
         store.requests.collect(acts.now)
-    with pytest.raises(RequestClosed, match="expired"):
+    with pytest.raises(StoreError, match="expired"):
         acts.touch(prepared)
 
 

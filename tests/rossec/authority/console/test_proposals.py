@@ -4,7 +4,7 @@ import pytest
 
 from ca.approvals.passkeys import Passkey
 from ca.errors import ApprovalRefused
-from rossec.authority.console.phone_codes import MAX_PROPOSALS, PROPOSAL_LIFETIME, Proposals, digits_of
+from rossec.authority.console.access import MAX_PROPOSALS, PROPOSAL_LIFETIME, Proposals, digits_of
 from rossec.errors import KeyServiceRefused
 
 NOW = 1_800_000_000

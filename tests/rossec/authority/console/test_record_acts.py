@@ -6,9 +6,9 @@ import pytest
 
 from ca.enrollment.invitation import parse
 from ca.errors import ApprovalRefused, HintedError, PatternRefused
+from rossec.authority.console.access import PROPOSAL_LIFETIME
 from rossec.authority.console.approved_acts import CODES_KEPT, MAX_CODES
 from rossec.authority.console.messages import Proposal
-from rossec.authority.console.phone_codes import PROPOSAL_LIFETIME
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER
 from tests.support import refusal_texts

@@ -15,8 +15,7 @@ from ca.enrollment.join import Named, RefusedMessage, RefuseReason, WaitingMessa
 from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
-from rossec.authority.keyservice.front_end import FrontEnd, main
-from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
+from rossec.authority.keyservice.front_end import FrontEnd, Handler, InnerChannel, main
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.clock import now
 from rossec.enrollment.join import ask_name, join

@@ -9,9 +9,9 @@ import pytest
 
 from ca.encoding import Value
 from ca.errors import EncodingError
-from rossec.authority.keyservice import inner_channel as module
+from rossec.authority.keyservice import front_end as module
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
+from rossec.authority.keyservice.front_end import Handler, InnerChannel
 from rossec.authority.keyservice.messages import InnerAnswer, InnerRequest
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused
 

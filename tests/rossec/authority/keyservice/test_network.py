@@ -12,7 +12,7 @@ from ca.enrollment.join import Issued, Named, RefusedMessage, RefuseReason, read
 from ca.errors import EncodingError
 from rossec.authority.keyservice import network
 from rossec.authority.keyservice import network as module
-from rossec.authority.keyservice.inner_channel import Handler
+from rossec.authority.keyservice.front_end import Handler
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork

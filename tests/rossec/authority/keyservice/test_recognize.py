@@ -8,7 +8,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.authority import Authority, create_root
 from ca.certificates import PROFILE as RENEWAL
 from ca.certificates import build_intermediate_request
-from ca.domains.trust import DomainList, TrustBundle, sign_bundle, sign_domains
+from ca.domains import DomainList, TrustBundle, sign_bundle, sign_domains
 from ca.encoding import encode
 from ca.keys.signing import Profile
 from ca.revocation.lists import (
@@ -21,7 +21,7 @@ from ca.revocation.lists import (
 )
 from ca.store.values import Head, sign_head
 from ca.svid import build_request
-from ca.things.constrained_nodes import sign_statement
+from ca.things import sign_statement
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import TICKET, Delegation, sign_delegation

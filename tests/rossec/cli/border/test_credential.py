@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.keys.signing import thumbprint
-from ca.things.constrained_nodes import read_ccs
+from ca.things import read_ccs
 from rossec.home import NodeHome
 from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell, refused

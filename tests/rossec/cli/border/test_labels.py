@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ca.enrollment import qr
-from ca.things.constrained_nodes import ThingKey, ThingSecret
+from ca.things import ThingKey, ThingSecret
 from rossec.authority.home import format_fingerprint
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer

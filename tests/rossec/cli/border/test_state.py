@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement, sign_statement
+from ca.things import ThingKey, ThingSecret, ThingStatement, sign_statement
 from rossec import clock
 from rossec.border import border_router
 from rossec.home import NodeHome

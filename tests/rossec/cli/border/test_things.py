@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.constrained_nodes import ThingKey, ThingSecret, parse_secret, read_description
+from ca.things import ThingKey, ThingSecret, parse_secret, read_description
 from rossec.home import NodeHome
 from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell, refused

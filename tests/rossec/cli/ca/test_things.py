@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import qr
-from ca.things.constrained_nodes import ThingKey, peek_statement
+from ca.things import ThingKey, peek_statement
 from tests.rossec.cli.ca.record import key_of, listed
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer

@@ -15,7 +15,7 @@ from urllib.parse import urlencode, urlsplit
 import pytest
 
 from rossec.cli.console import serve
-from rossec.console.tls import certificates, own_authority
+from rossec.console.tls import certificates
 from rossec.console.tls.certificates import key_pem, open_authority
 from tests.support.commands import Shell, refused
 from tests.support.console_tls import NAME, NOW, new_authority, new_key, pem
@@ -67,7 +67,7 @@ def test_on_the_network_a_phone_that_trusts_the_authority_gets_in(service: Servi
         origin = f"https://{NAME}:{port}"
         root = authority_of(service)
         assert running.said["ready"] == origin
-        assert running.said["tls"]["words"] == own_authority.in_words(root)
+        assert running.said["tls"]["words"] == certificates.in_words(root)
         with closing(over_tls(port, pem(root))) as connection:
             answer = ask(connection, origin, "/login")
             assert answer.status == 200
@@ -147,7 +147,7 @@ def test_the_terminal_tells_what_to_compare_and_where(service: ServiceProcess) -
         assert process.wait(30) == 0
         assert process.stdout is not None
         process.stdout.close()
-    assert own_authority.in_words(authority_of(service)) in said
+    assert certificates.in_words(authority_of(service)) in said
     assert "http://rossec.local:7410/\n" in said
     assert "compare the fingerprint before you trust it" in said
     assert f"https://rossec.local:{port}/login#" in said

@@ -3,7 +3,7 @@ import socket
 
 import pytest
 
-from rossec.console.tls import own_authority
+from rossec.console.tls import certificates
 from rossec.console.tls.certificates import KEY, open_authority
 from tests.support.commands import Shell, refused
 
@@ -18,7 +18,7 @@ def test_it_is_made_shown_and_made_anew(shell: Shell) -> None:
     directory = shell.root / "ca" / "console"
     authority = open_authority(directory)
     assert authority.name == "rossec.local"
-    assert own_authority.in_words(authority.data) in first.out
+    assert certificates.in_words(authority.data) in first.out
     assert "--hand-out" in first.out
     assert shell("console", "tls").out.splitlines() == first.out.splitlines()[:-1]
     assert "PRIVATE" not in first.out

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.trust import Anchors, DomainList
+from ca.domains import Anchors, DomainList
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Said, Shell
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import open_bundle
+from ca.domains import open_bundle
 from ca.enrollment.qr import check_code
 from rossec import clock
 from tests.rossec.cli.domain.sites import Neighbours

@@ -5,7 +5,7 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from ca.domains.trust import DomainList, open_domains
+from ca.domains import DomainList, open_domains
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import ForeignDomain
+from ca.domains import ForeignDomain
 from rossec.federation.settings import FILE, SiteFile
 from tests.support.commands import Shell, refused
 from tests.support.masters import domain_list

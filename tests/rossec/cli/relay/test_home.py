@@ -1,6 +1,6 @@
 """Which list of domains the commands of a relay go by."""
 
-from ca.domains.trust import ForeignDomain
+from ca.domains import ForeignDomain
 from rossec.cli.relay.sites import known_domains, relay_files
 from rossec.cli.shared.context import Environment
 from tests.support.commands import Shell

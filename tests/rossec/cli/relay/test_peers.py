@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import ForeignDomain
+from ca.domains import ForeignDomain
 from rossec.overlay.documents import Routers
 from rossec.overlay.homes import RelayFiles
 from tests.support.commands import Said, Shell, refused

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from rossec.console.preview import receiver
-from rossec.console.preview.receiver import NAME, PreviewReceiver, receive
+from rossec.console import preview as receiver
+from rossec.console.preview import NAME, PreviewReceiver, receive
 from rossec.console.samples import see
 from rossec.console.server.web import PreviewClient
 from rossec.host.runner import TaskSet

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.preview.receiver import NAME
+from rossec.console.preview import NAME
 from rossec.console.server.supervisor import PreviewProcess, check_enrolled
 from rossec.console.server.web import PreviewClient
 from rossec.errors import ConfigurationError

@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from rossec.console.scanning import frames
-from rossec.console.scanning.frames import Found, Unreadable
+from rossec.console import scanning
+from rossec.console.scanning import Found, Unreadable
 from rossec.console.server.web import ScannerClient
 from rossec.errors import RossecError, ScannerBusy
 
@@ -21,7 +21,7 @@ class Supervised:
         self.client = ScannerClient(theirs, interval)
 
     def answers(self, *answers: Found | Unreadable) -> None:
-        self.end.sendall(b"".join(map(frames.write_answer, answers)))
+        self.end.sendall(b"".join(map(scanning.write_answer, answers)))
 
 
 @asynccontextmanager
@@ -37,7 +37,7 @@ async def test_the_text_of_a_code_is_returned() -> None:
         pair.answers(Found("ROSSEC:A"), Found(""))
         assert await pair.client.read(b"one") == "ROSSEC:A"
         assert await pair.client.read(b"two") is None
-        assert pair.end.recv(100) == frames.frame(b"one") + frames.frame(b"two")
+        assert pair.end.recv(100) == scanning.frame(b"one") + scanning.frame(b"two")
 
 
 async def test_a_picture_that_could_not_be_read_is_refused_with_its_reason() -> None:
@@ -48,7 +48,7 @@ async def test_a_picture_that_could_not_be_read_is_refused_with_its_reason() -> 
         assert refusal.value.hint == "show one"
 
 
-@pytest.mark.parametrize("size", [0, frames.MAX_PICTURE + 1])
+@pytest.mark.parametrize("size", [0, scanning.MAX_PICTURE + 1])
 async def test_a_picture_of_no_or_too_great_size_is_not_sent(size: int) -> None:
     async with supervised() as pair:
         with pytest.raises(RossecError, match="at most 256 kB"):
@@ -79,7 +79,7 @@ async def test_pictures_are_some_time_apart() -> None:
         second.cancel()
 
 
-@pytest.mark.parametrize("data", [b"", b"\0\0\0\0", frames.frame(b"no CBOR")])
+@pytest.mark.parametrize("data", [b"", b"\0\0\0\0", scanning.frame(b"no CBOR")])
 async def test_without_a_supervisor_pictures_are_refused(data: bytes) -> None:
     async with supervised() as pair:
         pair.end.sendall(data)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import qr
-from rossec.console.scanning import frames
+from rossec.console import scanning
 from rossec.console.server.supervisor import WORKER, ScannerSupervisor
 from rossec.console.server.web import ScannerClient
 from rossec.errors import KeyMessageRefused, RossecError
@@ -22,9 +22,9 @@ LIAR = "import sys; sys.stdout.buffer.write(bytes(4)); sys.stdout.flush(); sys.s
 # Answers every picture with its own process id.
 SIMPLE = """
 import os, sys
-from rossec.console.scanning import worker
-from rossec.console.scanning.frames import Found
-worker.serve(sys.stdin.buffer, sys.stdout.buffer, lambda picture: Found(str(os.getpid())))
+from rossec.console import scanning
+from rossec.console.scanning import Found
+scanning.serve(sys.stdin.buffer, sys.stdout.buffer, lambda picture: Found(str(os.getpid())))
 """
 
 
@@ -87,7 +87,7 @@ async def test_a_worker_that_fails_is_one_picture_that_was_not_read(
 async def test_a_web_process_that_breaks_the_protocol_is_not_served() -> None:
     ours, theirs = socket.socketpair()
     with theirs:
-        theirs.sendall((frames.MAX_PICTURE + 1).to_bytes(4))
+        theirs.sendall((scanning.MAX_PICTURE + 1).to_bytes(4))
         with pytest.raises(KeyMessageRefused):
             await ScannerSupervisor(ours).run()
 

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from ca.enrollment import qr
-from rossec.console.scanning import frames, worker
-from rossec.console.scanning.frames import Found, Unreadable
+from rossec.console import scanning
+from rossec.console.scanning import Found, Unreadable
 from rossec.enrollment import scanner
 from rossec.errors import KeyMessageRefused
 from rossec.host import sandbox
@@ -35,21 +35,21 @@ def beside(*texts: str) -> bytes:
 
 
 def test_the_one_code_in_a_picture_is_found() -> None:
-    assert worker.answer(qr.png(TEXT)) == Found(TEXT)
+    assert scanning.answer(qr.png(TEXT)) == Found(TEXT)
 
 
 def test_a_picture_without_a_code_has_none() -> None:
     out = io.BytesIO()
     Image.new("L", (64, 64), 200).save(out, "JPEG")
-    assert worker.answer(out.getvalue()) == Found("")
+    assert scanning.answer(out.getvalue()) == Found("")
 
 
 def test_several_codes_are_told() -> None:
-    assert worker.answer(beside(TEXT, OTHER)) == worker.SEVERAL
+    assert scanning.answer(beside(TEXT, OTHER)) == scanning.SEVERAL
 
 
 def test_what_is_no_picture_is_told() -> None:
-    found = worker.answer(b"GIF89a")
+    found = scanning.answer(b"GIF89a")
     assert isinstance(found, Unreadable)
     assert found.message == "this is not a picture that can be read"
 
@@ -59,20 +59,20 @@ def test_a_picture_that_takes_too_much_memory_is_told(monkeypatch: pytest.Monkey
         raise MemoryError
 
     monkeypatch.setattr(scanner, "texts", read)
-    assert worker.answer(b"x") == Unreadable("the picture takes more memory than allowed", scanner.CLOSER)
+    assert scanning.answer(b"x") == Unreadable("the picture takes more memory than allowed", scanner.CLOSER)
 
 
 def test_pictures_are_served_in_their_order() -> None:
-    source = io.BytesIO(frames.frame(b"one") + frames.frame(b"two") + b"\0")
+    source = io.BytesIO(scanning.frame(b"one") + scanning.frame(b"two") + b"\0")
     sink = io.BytesIO()
-    worker.serve(source, sink, lambda picture: Found(picture.decode()))
-    assert sink.getvalue() == b"".join(map(frames.write_answer, [Found("one"), Found("two")]))
+    scanning.serve(source, sink, lambda picture: Found(picture.decode()))
+    assert sink.getvalue() == b"".join(map(scanning.write_answer, [Found("one"), Found("two")]))
 
 
 def test_a_picture_that_is_too_large_ends_the_worker() -> None:
-    source = io.BytesIO((frames.MAX_PICTURE + 1).to_bytes(4) + b"x")
+    source = io.BytesIO((scanning.MAX_PICTURE + 1).to_bytes(4) + b"x")
     with pytest.raises(KeyMessageRefused):
-        worker.serve(source, io.BytesIO(), lambda _: Found(""))
+        scanning.serve(source, io.BytesIO(), lambda _: Found(""))
 
 
 def test_what_is_given_up_does_not_depend_on_the_kernel(
@@ -88,7 +88,7 @@ def test_what_is_given_up_does_not_depend_on_the_kernel(
     monkeypatch.setattr(resource, "setrlimit", lambda what, most: given.append((what, most[1])))
     monkeypatch.setattr(os, "nice", lambda _: 0)
     monkeypatch.setattr(sandbox, "read_only", refuse)
-    worker.confine()
+    scanning.confine()
     assert dict(given) == {
         resource.RLIMIT_AS: 32,
         resource.RLIMIT_CORE: 0,
@@ -102,18 +102,18 @@ def test_what_is_given_up_does_not_depend_on_the_kernel(
 def test_the_libraries_are_loaded_before_the_process_is_confined(monkeypatch: pytest.MonkeyPatch) -> None:
     steps: list[str] = []
     monkeypatch.setattr(sandbox, "protect_memory", lambda: steps.append("protected"))
-    monkeypatch.setattr(worker, "answer", lambda _: steps.append("loaded"))
-    monkeypatch.setattr(worker, "confine", lambda: steps.append("confined"))
-    monkeypatch.setattr(worker, "serve", lambda *_: steps.append("serves"))
-    worker.main()
+    monkeypatch.setattr(scanning, "answer", lambda _: steps.append("loaded"))
+    monkeypatch.setattr(scanning, "confine", lambda: steps.append("confined"))
+    monkeypatch.setattr(scanning, "serve", lambda *_: steps.append("serves"))
+    scanning.main()
     assert steps == ["protected", "loaded", "confined", "serves"]
 
 
 TRIES = """
 import socket, subprocess, sys
-from rossec.console.scanning import worker
-worker.answer(b"")
-worker.confine()
+from rossec.console import scanning
+scanning.answer(b"")
+scanning.confine()
 for name, attempt in {
     "read a file": lambda: open(sys.argv[1]).read(),
     "write a file": lambda: open(sys.argv[1], "w").write("x"),
@@ -123,7 +123,7 @@ for name, attempt in {
         attempt()
     except OSError as error:
         print("refused:", name)
-found = worker.answer(sys.stdin.buffer.read())
+found = scanning.answer(sys.stdin.buffer.read())
 print(found.text)
 """
 
@@ -150,11 +150,11 @@ def test_a_confined_worker_reads_pictures_and_can_do_nothing_else(tmp_path: Path
 
 def test_the_program_serves_its_standard_input() -> None:
     done = subprocess.run(
-        [sys.executable, "-I", "-m", worker.__name__],
-        input=frames.frame(qr.png(TEXT)) * 2,
+        [sys.executable, "-I", "-m", scanning.__name__],
+        input=scanning.frame(qr.png(TEXT)) * 2,
         capture_output=True,
         check=True,
         env={},
     )
-    assert done.stdout == frames.write_answer(Found(TEXT)) * 2
+    assert done.stdout == scanning.write_answer(Found(TEXT)) * 2
     assert done.stderr == b""

@@ -7,7 +7,7 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from rossec.console.tls.own_authority import DAY, LEAF_LIFETIME, LIFETIME, TlsAuthority
+from rossec.console.tls.certificates import DAY, LEAF_LIFETIME, LIFETIME, TlsAuthority
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import (
     HOST,

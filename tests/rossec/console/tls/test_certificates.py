@@ -13,13 +13,15 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from rossec.console.tls.certificates import (
+    DAY,
+    LEAF_LIFETIME,
     FileCertificates,
     OwnCertificates,
+    TlsAuthority,
     check_bundle,
     key_pem,
     renewal_time,
 )
-from rossec.console.tls.own_authority import DAY, LEAF_LIFETIME, TlsAuthority
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import HOST, NAME, NOW, foreign_leaf, new_authority, new_key, pem
 

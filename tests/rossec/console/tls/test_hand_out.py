@@ -7,7 +7,7 @@ import httpx
 import pytest
 from starlette.types import ASGIApp
 
-from rossec.console.tls import own_authority
+from rossec.console.tls import certificates
 from rossec.console.tls.hand_out import FILE, PAGE, create_hand_out, documents
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import new_authority
@@ -37,8 +37,8 @@ async def test_the_page_tells_to_compare_and_shows_no_fingerprint(client: httpx.
     assert "Compare before you trust it" in text
     assert "terminal" in text
     assert text.count(ORIGIN) == 3
-    assert own_authority.in_hex(CERTIFICATE)[:11] not in text
-    assert own_authority.in_words(CERTIFICATE) not in text
+    assert certificates.in_hex(CERTIFICATE)[:11] not in text
+    assert certificates.in_words(CERTIFICATE) not in text
 
 
 @pytest.mark.parametrize("device", ["iPhone", "Android", "Firefox", "Chrome"])

@@ -12,7 +12,7 @@ import pytest
 from cryptography import x509
 
 from rossec.console.server.web import load_bundle, make_context
-from rossec.console.tls.own_authority import TlsAuthority
+from rossec.console.tls.certificates import TlsAuthority
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import NAME, NOW, bundle, foreign_leaf, new_authority, new_key, pem
 

@@ -5,8 +5,15 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.console.tls import certificates
-from rossec.console.tls.certificates import CERTIFICATE, KEY, authority_for, exists, open_authority, renew
-from rossec.console.tls.own_authority import DAY
+from rossec.console.tls.certificates import (
+    CERTIFICATE,
+    DAY,
+    KEY,
+    authority_for,
+    exists,
+    open_authority,
+    renew,
+)
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from tests.support.console_tls import HOST, NAME, NOW

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import CAError, Revoked
 from ca.revocation.trust_status import TrustStatus
 from grants.model import Right

@@ -5,7 +5,7 @@ from contextlib import AsyncExitStack
 
 import pytest
 
-from ca.errors import RevocationsStale, RollbackRefused
+from ca.errors import RevocationRefused, RevocationsStale
 from grants.model import Right
 from tests.rossec.master.visiting import HOSPITAL, VisitWorld
 from tests.rossec.master.world import EVERYTHING, SlaveNode, T, ends, until
@@ -86,7 +86,7 @@ async def test_an_older_foreign_list_changes_nothing(world: VisitWorld) -> None:
     old = world.hospital.word()
     world.take()
     viewer = await registered(world, "/viewer")
-    with pytest.raises(RollbackRefused):
+    with pytest.raises(RevocationRefused, match="is older than"):
         world.server.effects.take_foreign(HOSPITAL, *old)
     assert viewer.received_calls(FOREIGN) == []
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import open_renewal
-from ca.errors import CertificateExpired, RenewalRefused
+from ca.errors import CAError, CertificateExpired
 from rossec.authority.renewals import renew
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -82,7 +82,7 @@ def test_a_failed_renewal_is_tried_again(world: World, caplog: pytest.LogCapture
 
     def fails(request: bytes, now: int) -> RenewalAnswer:
         attempts.append(now)
-        raise RenewalRefused("not today", "ask tomorrow")
+        raise CAError("not today", "ask tomorrow")
 
     world.own.renew = fails
     for second in (0, 10, 599, 600):

@@ -1,4 +1,4 @@
-"""The process of the preview, the node `/console`: `python -I -m rossec.console.preview.receiver`.
+"""The process of the preview, the node `/console`: `python -I -m rossec.console.preview`.
 
 It is enrolled and granted like any other node, and shown among the receivers. It writes nothing to a disk,
 and ends with the connection.

@@ -1,1 +1,0 @@
-"""Codes read from a browser's pictures: in a process without rights, which the supervisor starts."""
