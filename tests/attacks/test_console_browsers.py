@@ -15,11 +15,6 @@ from tests.support.person import log_in, press, set_up, thief
 pytestmark = pytest.mark.browser
 
 TODAY: Final = re.compile("^Today")
-CLICK: Final = """() => {
-    const buttons = [...document.querySelectorAll("button")];
-    const today = buttons.find(each => each.textContent.trim().startsWith("Today"));
-    addEventListener("beforeunload", () => setTimeout(() => today.click(), 200), {once: true});
-}"""
 LIGHT: Final = "/hall/light"
 POLICY: Final = """
 rossec: 1
@@ -123,17 +118,6 @@ def test_of_two_browsers_at_one_question_one_wins_and_the_other_is_told(
     owner.page.unroute("**/approve/*")
     assert site.run("grant", "list").count(LIGHT) == 1
     assert approvals_of(site) == before + 1
-
-
-def test_a_touch_while_the_page_loads_itself_again_counts(owner: Window, site: ConsoleSite) -> None:
-    question_of(owner, site)
-    owner.page.evaluate(CLICK)
-    held: list[Route] = []
-    owner.page.route("**/ask/*", lambda route: held.append(route))  # noqa: PLW0108  it needs a function
-    site.run("grant", "request", "/porch", "--subscribe", LIGHT, "--why", "to be lit")
-    assert wait_on(owner, lambda: bool(held)), "nothing loads the page again"
-    expect(owner.page.locator(".end-mark")).to_have_count(1, timeout=60_000)
-    owner.page.unroute("**/ask/*")
 
 
 @pytest.mark.attack("stolen-console-session")
