@@ -3,7 +3,7 @@
 import asyncio
 from typing import Any
 
-from rossec.node.publisher import SubscriberQueue
+from rossec.node.publisher import Pieces, SubscriberQueue
 from tests.support.witness import until
 
 
@@ -50,7 +50,8 @@ async def test_short_messages_are_one_piece_and_a_large_one_is_not_copied() -> N
     queue = SubscriberQueue(stream, 100)
     stream.open.set()
     large = bytes(300_000)
-    for pieces in ([b"a", memoryview(b"bc")], [b""], [large]):
+    waiting: list[Pieces] = [[b"a", memoryview(b"bc")], [b""], [large]]
+    for pieces in waiting:
         queue.enqueue(pieces)
     running = asyncio.ensure_future(queue.run())
     await until(lambda: stream.sent)
