@@ -5,6 +5,8 @@ turns within every round. A sample is the time from the first `publish` to the l
 burst that is queued without loss; a ratio is the median of the ratios of all turns. Bursts of large
 messages are short, so they have several turns in a round; who begins alternates. `fanout10` has ten
 subscriber processes, for rossec under three different filter plans. Latency is one way, at 100 Hz.
+`node_...`: the built-in node on the same messages; a ratio is what it takes through what rospy with rossec
+takes (wanted: 1.2 at most).
 """
 
 import asyncio
@@ -31,7 +33,7 @@ IMAGE: Final = 6 * 1024 * 1024
 LATENCY: Final = 50  # messages of a sample
 TURNS: Final = {"1000000": 3, "image": 4, "latency": 4}  # in a round; others have one
 FANOUT: Final = 300
-MODES: Final = ("stock", "rossec", "stunnel")
+MODES: Final = ("stock", "rossec", "stunnel", "node")
 _PLANS: Final = (None, 2.0, 0.5)
 
 _HEAD: Final = """
@@ -108,6 +110,77 @@ for line in sys.stdin:
     else:
         seen, wanted = 0, int(line)
         print("ARMED", flush=True)
+"""
+)
+
+_NODE: Final = """
+import asyncio, json, sys, time
+import numpy
+from rossec.node import Node
+TOPICS = {"text": "std_msgs/String", "image": "sensor_msgs/Image", "time": "std_msgs/String"}
+async def commands():
+    lines = asyncio.StreamReader()
+    protocol = asyncio.StreamReaderProtocol(lines)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
+    print("READY", flush=True)
+    while line := await lines.readline():
+        yield line.decode()
+"""
+
+NODE_PUBLISHER: Final = (
+    _NODE
+    + """
+async def main():
+    async with Node("/node_publisher") as node:
+        made = {}
+        for name, kind in TOPICS.items():
+            made[name] = await node.publisher("/node/" + name, kind, queue_size=10000)
+        async for line in commands():
+            name, size, count = line.split()
+            publisher = made[name]
+            await publisher.wait_for_subscribers()
+            message = publisher.create()
+            message.data = numpy.zeros(int(size), "uint8") if name == "image" else "x" * int(size)
+            begin = time.monotonic()
+            for number in range(int(count)):
+                if name == "time":
+                    message.data = str(time.monotonic_ns())
+                publisher.publish(message)
+                if name == "time":
+                    await asyncio.sleep(0.01)
+                elif number % 64 == 63:  # nothing is sent before the loop has a turn
+                    await asyncio.sleep(0)
+            print("BEGAN", begin, flush=True)
+asyncio.run(main())
+"""
+)
+
+NODE_SUBSCRIBER: Final = (
+    _NODE
+    + """
+wanted, seen, delays = 0, 0, []
+async def count(name, subscriber):
+    global seen
+    async for message in subscriber:
+        if name == "time":
+            delays.append((time.monotonic_ns() - int(message.data)) / 1000)
+        seen += 1
+        if seen == wanted:
+            print("DONE", time.monotonic(), flush=True)
+async def main():
+    global wanted, seen
+    async with Node("/node_subscriber") as node, asyncio.TaskGroup() as group:
+        for name, kind in TOPICS.items():
+            subscriber = await node.subscriber("/node/" + name, kind, queue_size=10000)
+            group.create_task(count(name, subscriber))
+        async for line in commands():
+            if line.startswith("delays"):
+                print("DELAYS", json.dumps(delays), flush=True)
+                delays.clear()
+            else:
+                seen, wanted = 0, int(line)
+                print("ARMED", flush=True)
+asyncio.run(main())
 """
 )
 
@@ -217,6 +290,8 @@ def _plan(step: float | None) -> Restriction | None:
 def _entitle(site: Site) -> None:
     entitle(site, "/bench_publisher", {Right.PUBLISH: ("/bench/*",)})
     entitle(site, "/bench_subscriber", {Right.SUBSCRIBE: ("/bench/*",)})
+    entitle(site, "/node_publisher", {Right.PUBLISH: ("/node/*",)})
+    entitle(site, "/node_subscriber", {Right.SUBSCRIBE: ("/node/*",)})
     for number in range(10):
         plan = _plan(_PLANS[number % len(_PLANS)])
         site.subscribe(f"/fan{number}", "/bench/pose", plan)
@@ -238,7 +313,12 @@ async def pairs(folder: Path) -> AsyncIterator[tuple[dict[str, Pair], dict[str, 
             "stunnel": stock.environment(tunnelled, folder / "logs"),
         }
         made, fans = {}, {}
-        for mode in MODES:
+        node = [
+            await stack.enter_async_context(talking(env["rossec"], source))
+            for source in (NODE_PUBLISHER, NODE_SUBSCRIBER)
+        ]
+        made["node"] = Pair(node[0], node[1:])
+        for mode in MODES[:3]:
             ports = (str(inner), str(outer)) if mode == "stunnel" else ("0", "0")
             publisher = await stack.enter_async_context(talking(env[mode], PUBLISHER, mode, *ports))
             subscriber = await stack.enter_async_context(
@@ -286,7 +366,7 @@ async def _sample(folder: Path, seconds: float) -> dict[str, Any]:
                 before = fans[mode].cpu()
                 times["fanout", mode].append(await fans[mode].burst("pose", 0, FANOUT))
                 work["fanout", mode].append(fans[mode].cpu() - before)
-            for mode in _turns("latency", MODES[:2], rounds):
+            for mode in _turns("latency", ("stock", "rossec", "node"), rounds):
                 delays[mode] += await made[mode].delays()
             rounds += 1
     return _figures(times, work, delays)
@@ -314,6 +394,9 @@ def _figures(times: Samples, work: Samples, delays: dict[str, list[float]]) -> d
         "latency_added_us_p50": round(percentile("rossec", 50) - percentile("stock", 50), 1),
         "latency_added_us_p99": round(percentile("rossec", 99) - percentile("stock", 99), 1),
         "latency_stock_us_p50": round(percentile("stock", 50), 1),
+        "node_latency_us_p50": round(percentile("node", 50), 1),
+        "node_vs_inprocess": {size: ratio(size, "node") for size in SIZES},
+        "node_cpu_vs_inprocess": {size: ratio(size, "node", work) for size in SIZES},
         "messages_per_second": {mode: {size: rate(size, mode) for size in SIZES} for mode in MODES},
         "rounds": len(times["fanout", "stock"]),
     }

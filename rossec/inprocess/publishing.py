@@ -102,7 +102,8 @@ class SendQueue:
         self._thread.start()
 
     @property
-    def socket(self) -> Any:  # read for each message: by `__getattr__` it would cost as much as the rest of `_send`
+    def socket(self) -> Any:
+        # Read for each message: found by `__getattr__` it was 7 to 10 % of publishing 100 bytes.
         return self._connection.socket
 
     def __getattr__(self, name: str) -> Any:

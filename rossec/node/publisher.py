@@ -20,7 +20,7 @@ from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.guard import Guard, needed_keys
 from rossec import clock
-from rossec.channel.tuning import BATCH
+from rossec.channel.tuning import BATCH, JOIN_PIECES_BELOW
 from rossec.errors import ConnectionHeaderRefused, NodeShutdown, RossecError
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
@@ -74,6 +74,9 @@ class SubscriberQueue:
                     batch.append(LENGTH.pack(length))
                     batch.extend(pieces)
                     size += LENGTH.size + length
+                if size < JOIN_PIECES_BELOW * len(batch):
+                    # By one call: sealing would look at each piece of each short message, and join them too.
+                    batch = [b"".join(batch)]
                 await self._stream.send(*batch)
 
 

@@ -62,6 +62,7 @@ async def test_queued_messages_are_sent_as_one_unit() -> None:
     queue = send_queue.SendQueue(made, 0)
     assert queue.endpoint_id == "/x"
     assert queue.socket is made.socket
+    assert isinstance(type(queue).socket, property), "read for each message: not by __getattr__"
     with pytest.raises(AttributeError):
         _ = queue.__nothing__
     made.socket.gate.clear()
