@@ -9,6 +9,7 @@ decisions; what arrives is read straight into the connection's receive buffer.
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from time import monotonic
 from typing import Final, Generic, Protocol, Self
 
@@ -21,6 +22,7 @@ from rossec.channel.records import Bytes
 from rossec.channel.tuning import JOIN_UNITS_BELOW, JOINED_UNITS
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio.transport import BaseStream, ByteTransport, TransportOwner
+from rossec.net import read_buffers
 from rossec.net.context import forget_in_children
 from rossec.ros.tcpros import PATIENCE, Framing
 
@@ -74,7 +76,8 @@ class SecureStream(BaseStream, Generic[PeerT]):
         self._untold: negotiation.Renewal[PeerT] | None = None
         self.address = address
         self.transport = transport(self)
-        self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
+        # The socket's reader calls the core itself. All connections of a thread read into the same memory.
+        self.get_buffer = partial(connection.get_buffer, read_buffers.of_loop(self._loop))
         self.flush()
         self.transport.resume_reading()
         self._arm()
@@ -85,6 +88,13 @@ class SecureStream(BaseStream, Generic[PeerT]):
 
     def buffer_updated(self, count: int) -> None:
         try:
+            unit = self.connection.lone_unit(count)
+            if unit is not None:
+                if self._take is None or self._units is not None or not self._take(unit):
+                    self._deliver(unit)
+                    if self._units:
+                        self._notify()
+                return
             events = self.connection.buffer_updated(count, wall_clock())
         except ChannelError as error:
             self.fail(error)
