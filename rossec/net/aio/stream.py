@@ -21,8 +21,8 @@ from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.channel.records import Bytes
 from rossec.channel.tuning import JOIN_UNITS_BELOW, JOINED_UNITS
 from rossec.errors import ChannelClosed, ChannelError
-from rossec.net.aio.transport import BaseStream, ByteTransport, TransportOwner
 from rossec.net import read_buffers
+from rossec.net.aio.transport import BaseStream, ByteTransport, TransportOwner
 from rossec.net.context import forget_in_children
 from rossec.ros.tcpros import PATIENCE, Framing
 
