@@ -292,14 +292,14 @@ class Connection(Generic[PeerT]):
         return self._buffer.free(shared if self.state is ConnectionState.OPEN else None)
 
     def lone_unit(self, count: int) -> bytes | None:
-        """The unit, if the `count` bytes just read are exactly one record, and that is all of it: a message
-        that is no part of a burst, without the cost of frames and events. None: nothing has happened, and
-        they are for `buffer_updated`, as is everything that may be wrong with a frame but its tag."""
+        """The unit, if the `count` bytes just read are exactly one record that ends it: nearly every message
+        outside of a burst, without what frames and events cost. None: nothing has happened, and the bytes are
+        for `buffer_updated`, which also says what is wrong with a header."""
         session, record = self._session, self._buffer.arrived(count)
         if self.state is not ConnectionState.OPEN or session is None or record is None:
             return None
         head = record[:HEADER].tobytes()
-        if not session.is_lone(head, count):
+        if not session.ends_unit(head, count):
             return None
         self._buffer.filled(count)
         try:

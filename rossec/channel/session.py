@@ -226,9 +226,9 @@ class Session:
     def receive_epoch(self) -> int:  # of the peer's next record
         return self._epochs.receiver.epoch
 
-    def is_lone(self, head: bytes, size: int) -> bool:
-        # Whether a record of so many bytes with this header is a whole unit.
-        if self._unit.length > 0 or not _SHORTEST <= size <= _RECORD:
+    def ends_unit(self, head: bytes, size: int) -> bool:
+        # Whether these are the header and the size of a record that does.
+        if not _SHORTEST <= size <= _RECORD:
             return False
         return head == header(Frame.DATA_END, self._epochs.receiver.epoch, size - HEADER)
 

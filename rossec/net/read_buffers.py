@@ -1,11 +1,12 @@
-"""Memory that sockets are read into, shared by connections that never read at the same time.
+"""Memory that the connections of a loop are read into, one after the other.
 
-A record that is a whole message is opened from there; only a connection that waits for the rest of one has
-memory of its own. What lies there is what was on the wire, never what was decrypted.
+What comes whole is opened there; only a connection that waits for the rest of a record has memory of its own.
+What lies there was on the wire, never decrypted. Threads share none: a signal handler that itself receives may
+run between the read and its use.
 """
 
 import asyncio
-from mmap import mmap
+from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 from typing import Final
 from weakref import WeakKeyDictionary
 
@@ -14,8 +15,8 @@ _loops: Final[WeakKeyDictionary[asyncio.AbstractEventLoop, memoryview]] = WeakKe
 
 
 def of_loop(loop: asyncio.AbstractEventLoop) -> memoryview:
-    # Of all connections of a loop, which reads them one after the other.
     found = _loops.get(loop)
     if found is None:
-        found = _loops[loop] = memoryview(mmap(-1, _OF_LOOP))
+        # Pages of their own that count only once something was read into them.
+        found = _loops[loop] = memoryview(mmap(-1, _OF_LOOP, MAP_PRIVATE | MAP_ANONYMOUS))
     return found

@@ -3,7 +3,7 @@
 A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's own, and
 small units sent in one burst are joined into one: a receiver takes units as a stream of bytes that never
 breaks inside what was sent together. The class has the transport, the timer and back-pressure, and no
-decisions; what arrives is read straight into the connection's receive buffer.
+decisions; what arrives is read straight into the loop's memory or the connection's, and opened there.
 """
 
 import asyncio
@@ -76,7 +76,7 @@ class SecureStream(BaseStream, Generic[PeerT]):
         self._untold: negotiation.Renewal[PeerT] | None = None
         self.address = address
         self.transport = transport(self)
-        # The socket's reader calls the core itself. All connections of a thread read into the same memory.
+        # The socket's reader calls the core itself. All connections of a loop read into the same memory.
         self.get_buffer = partial(connection.get_buffer, read_buffers.of_loop(self._loop))
         self.flush()
         self.transport.resume_reading()
