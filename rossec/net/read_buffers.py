@@ -1,8 +1,8 @@
 """Memory that the connections of a loop are read into, one after the other.
 
 What comes whole is opened there; only a connection that waits for the rest of a record has memory of its own.
-What lies there was on the wire, never decrypted. Threads share none: a signal handler that itself receives may
-run between the read and its use.
+What lies there was on the wire, never decrypted. Threads share none: a signal handler that itself receives
+may run between the read and its use.
 """
 
 import asyncio
