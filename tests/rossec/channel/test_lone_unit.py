@@ -40,7 +40,9 @@ def lean(core: Core, data: bytes) -> list[Event[FakeIdentity]]:
     room = core.get_buffer(SHARED)
     room[: len(data)] = data
     unit = core.lone_unit(len(data))
-    events = core.buffer_updated(len(data), NOW) if unit is None else [UnitReceived(unit)]
+    events: list[Event[FakeIdentity]] = (
+        core.buffer_updated(len(data), NOW) if unit is None else [UnitReceived(unit)]
+    )
     SHARED[: len(data)] = JUNK[: len(data)]
     return events
 
