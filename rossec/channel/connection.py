@@ -286,8 +286,29 @@ class Connection(Generic[PeerT]):
 
     # -- receiving
 
-    def get_buffer(self) -> memoryview:
-        return self._buffer.free()
+    def get_buffer(self, shared: memoryview | None = None) -> memoryview:
+        # For the next bytes: `shared`, if there is nothing they continue, else memory of this connection. The
+        # caller's other connections may read into `shared` once this one has been told what came.
+        return self._buffer.free(shared if self.state is ConnectionState.OPEN else None)
+
+    def lone_unit(self, count: int) -> bytes | None:
+        """The unit, if the `count` bytes just read are exactly one record that ends it: nearly every message
+        outside of a burst, without what frames and events cost. None: nothing has happened, and the bytes are
+        for `buffer_updated`, which also says what is wrong with a header."""
+        session, record = self._session, self._buffer.arrived(count)
+        if self.state is not ConnectionState.OPEN or session is None or record is None:
+            return None
+        head = record[:HEADER].tobytes()
+        if not session.ends_unit(head, count):
+            return None
+        self._buffer.filled(count)
+        try:
+            unit = session.data_end(head, record[HEADER:])
+        except BaseException:
+            self._terminate()
+            raise
+        self._buffer.consume(count)
+        return unit
 
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
         self._now = now
@@ -295,6 +316,7 @@ class Connection(Generic[PeerT]):
         events = self._events = []
         try:
             self._process_frames()
+            self._buffer.keep()
         except errors.ChannelError as error:
             refusal = _UNKNOWN if isinstance(error, errors.PeerCredentialUnknown) else _REFUSED
             # End; send an error to a peer not authenticated yet, unless it sent one first.

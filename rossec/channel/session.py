@@ -22,6 +22,7 @@ from rossec.channel.records import (
     Epochs,
     Frame,
     fragments,
+    header,
     padded,
     unpadded,
 )
@@ -42,6 +43,7 @@ _NO_VIEW: Final = memoryview(_NOTHING)
 _ITS_OWN: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 _KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
 _RECORD: Final = HEADER + MAX_PLAINTEXT + TAG
+_SHORTEST: Final = HEADER + 1 + TAG
 
 
 class ReceiveBuffer:
@@ -51,6 +53,9 @@ class ReceiveBuffer:
     size when it is full, and for an authenticated peer at once to eight times the bytes that are there. An
     idle connection has none: an empty buffer is freed, but not one for large frames while many of them
     arrive.
+
+    Where it has none, the reader may bring memory that all its connections share. What is left there of a
+    read, the beginning of a frame, is moved to memory of its own (`keep`) before another one reads.
     """
 
     __slots__ = ("_data", "_end", "_least", "_start", "_view")
@@ -69,9 +74,12 @@ class ReceiveBuffer:
     def capacity(self) -> int:
         return len(self._data)
 
-    def free(self) -> memoryview:
+    def free(self, shared: memoryview | None = None) -> memoryview:
         # The free end, never empty; valid until the next call of any method.
         if self._data is _NOTHING:
+            if shared is not None:
+                self._view = shared
+                return shared
             self._data = bytearray(self._least)
             self._view = memoryview(self._data)
         elif self._end == len(self._data):
@@ -84,6 +92,14 @@ class ReceiveBuffer:
 
     def filled(self, count: int) -> None:
         self._end += count
+
+    def arrived(self, count: int) -> memoryview | None:
+        # The `count` bytes just read, before they are `filled`; None: they continue others.
+        return None if self._end else self._view[:count]
+
+    def keep(self) -> None:
+        if self._data is _NOTHING and self._end:
+            self._make_room(max(self._least, len(self)))
 
     def unread(self) -> memoryview:
         return self._view[self._start : self._end]
@@ -103,7 +119,7 @@ class ReceiveBuffer:
             self._make_room(0)
             return
         wanted, earned = max(count, grow_to), _EARNED * len(self)
-        self._make_room(wanted if earned >= wanted else min(earned, count - 1))
+        self._make_room(max(self._least, wanted if earned >= wanted else min(earned, count - 1)))
 
     def clear(self) -> None:
         self._data, self._view = _NOTHING, _NO_VIEW
@@ -209,6 +225,12 @@ class Session:
     @property
     def receive_epoch(self) -> int:  # of the peer's next record
         return self._epochs.receiver.epoch
+
+    def ends_unit(self, head: bytes, size: int) -> bool:
+        # Whether these are the header and the size of a record that does.
+        if not _SHORTEST <= size <= _RECORD:
+            return False
+        return head == header(Frame.DATA_END, self._epochs.receiver.epoch, size - HEADER)
 
     @property
     def awaits_peer(self) -> bool:

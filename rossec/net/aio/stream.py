@@ -3,12 +3,13 @@
 A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's own, and
 small units sent in one burst are joined into one: a receiver takes units as a stream of bytes that never
 breaks inside what was sent together. The class has the transport, the timer and back-pressure, and no
-decisions; what arrives is read straight into the connection's receive buffer.
+decisions; what arrives is read straight into the loop's memory or the connection's, and opened there.
 """
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from time import monotonic
 from typing import Final, Generic, Protocol, Self
 
@@ -20,6 +21,7 @@ from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.channel.records import Bytes
 from rossec.channel.tuning import JOIN_UNITS_BELOW, JOINED_UNITS
 from rossec.errors import ChannelClosed, ChannelError
+from rossec.net import read_buffers
 from rossec.net.aio.transport import BaseStream, ByteTransport, TransportOwner
 from rossec.net.context import forget_in_children
 from rossec.ros.tcpros import PATIENCE, Framing
@@ -74,7 +76,8 @@ class SecureStream(BaseStream, Generic[PeerT]):
         self._untold: negotiation.Renewal[PeerT] | None = None
         self.address = address
         self.transport = transport(self)
-        self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
+        # The socket's reader calls the core itself. All connections of a loop read into the same memory.
+        self.get_buffer = partial(connection.get_buffer, read_buffers.of_loop(self._loop))
         self.flush()
         self.transport.resume_reading()
         self._arm()
@@ -85,6 +88,13 @@ class SecureStream(BaseStream, Generic[PeerT]):
 
     def buffer_updated(self, count: int) -> None:
         try:
+            unit = self.connection.lone_unit(count)
+            if unit is not None:
+                if self._take is None or self._units is not None or not self._take(unit):
+                    self._deliver(unit)
+                    if self._units:
+                        self._notify()
+                return
             events = self.connection.buffer_updated(count, wall_clock())
         except ChannelError as error:
             self.fail(error)

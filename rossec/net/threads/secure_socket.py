@@ -131,6 +131,8 @@ class SecureSocket(Generic[PeerT]):
             elif count == 0:
                 self._call_core(self._core.receive_eof)
                 self._fail(ChannelClosed("the peer closed the connection"))
+            elif (unit := self._call_core(self._core.lone_unit, count)) is not None:
+                self._units.append(unit)
             else:
                 self._handle_events(self._call_core(self._core.buffer_updated, count, _now()))
         if self._renewed:
