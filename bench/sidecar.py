@@ -5,8 +5,8 @@ own. A ratio is the median over the rounds of what two ways did in the same roun
 load hits both; `spread` is its quartiles. The talker is as fast as the listener receives. The
 tunnel is configured with what it cannot discover, a slave API that names the stunnel's port.
 `cpu_us` is what both processes of a tunnel used for a message, the kernel's part included. Memory
-is that of one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore; its private memory
-(Private_Clean and Private_Dirty) is what it does not share with other Python programs of the host.
+is that of one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore; its private
+memory (Private_Clean and Private_Dirty) is what it does not share with other programs of the host.
 """
 
 import contextlib
