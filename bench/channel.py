@@ -4,8 +4,8 @@ Two processes on loopback. The variants take turns in slices of some hundredths 
 that other load affects all of them; a ratio is the median over pairs of neighbouring slices,
 `spread` its quartiles, and the first round is a warm-up. `throughput` is a loop of sends; rossec
 joins what one turn of the loop sends, which is part of what is measured. `paced` gives the
-loop a turn after every message, so that nothing can be joined. Both verify the peer's chain in full
-each time, learn its name, and close their connections in order.
+loop a turn after every message, so that nothing can be joined. TLS verifies the peer's chain in full
+each time, rossec one that it has seen before in its times alone; both learn its name, and close in order.
 """
 
 import asyncio

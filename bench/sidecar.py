@@ -5,7 +5,8 @@ own. A ratio is the median over the rounds of what two ways did in the same roun
 load hits both; `spread` is its quartiles. The talker is as fast as the listener receives. The
 tunnel is configured with what it cannot discover, a slave API that names the stunnel's port.
 `cpu_us` is what both processes of a tunnel used for a message, the kernel's part included. Memory
-is that of one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore.
+is that of one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore; its private
+memory (Private_Clean and Private_Dirty) is what it does not share with other programs of the host.
 """
 
 import contextlib
@@ -31,6 +32,12 @@ def _resident(process: int) -> float:
     return int(line.split()[1]) / 1024
 
 
+def private(process: int) -> float:
+    """Memory in MB that no other process shares: what one more sidecar costs a host."""
+    rollup = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    return sum(int(line.split()[1]) for line in rollup if line.startswith("Private_")) / 1024
+
+
 def _register(uri: str, name: str) -> None:
     own = f"http://127.0.0.1:{free_port()}/"
     for method, topic in (("registerPublisher", f"{name}/out"), ("registerSubscriber", "/in")):
@@ -47,11 +54,12 @@ def memory(ways: Ways) -> dict[str, float]:
     found: dict[str, float] = {}
     sidecar, uri = ways.host_sidecar()
     _register(uri, names[0])
-    found["1"] = round(_resident(sidecar.pid), 1)
+    found["1"], found["private 1"] = round(_resident(sidecar.pid), 1), round(private(sidecar.pid), 1)
     for name in names[1:]:
         _register(uri, name)
     time.sleep(2)
     found[str(NODES)] = round(_resident(sidecar.pid), 1)
+    found[f"private {NODES}"] = round(private(sidecar.pid), 1)
     core, uri = ways.stock_master()
     rosout = ways.start(uri, "/usr/lib/rosout/rosout")
     registered(uri, "/rosout")
@@ -126,6 +134,7 @@ def measure(seconds: float) -> dict[str, Any]:
         "latency_added_us_p50": heard.added("sidecar"),
         "latency_added_by_stunnel_us_p50": heard.added("stunnel"),
         "rss_mb": {"1": resident["1"], str(NODES): resident[str(NODES)]},
+        "private_mb": {"1": resident["private 1"], str(NODES): resident[f"private {NODES}"]},
         "rss_vs_roscore": round(resident[str(NODES)] / resident["roscore"], 2),
         "rss_roscore_mb": resident["roscore"],
     }

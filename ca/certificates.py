@@ -5,9 +5,9 @@ by one intermediate. A valid identity requests its successor without operator ac
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Final, Self
+from typing import Final
 
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
@@ -32,7 +32,8 @@ _HINT: Final = "make it on the host with `rossec ca intermediate request`"
 
 _MAX_PEM: Final = 16 * 1024
 
-CACHE_SIZE: Final = 256
+CHAINS: Final = 256  # of one trust anchor that are known to be signed; each is 2 to 4 kB
+_ROOTS: Final = 128  # more than a list of domains can have
 
 PROFILE: Final = Profile("rossec-renewal+cwt")
 MAX_CHAIN: Final = 2
@@ -201,7 +202,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class TrustAnchor:
-    """The root certificate a node trusts. Create it with `load`; its key is parsed only once."""
+    """The root certificate a node trusts. Create it with `load`: one root is one object, parsed once."""
 
     domain: str
     public_key: PublicKey
@@ -211,10 +212,21 @@ class TrustAnchor:
     certificate: bytes
     subject: x509.Name
     path_length: int | None = 0
+    # Of this root alone: what another domain's authority signs without end pushes out none of it.
+    _verified: Newest[tuple[bytes, ...], tuple[Identity, Intermediate | None]] = field(
+        default_factory=lambda: Newest(CHAINS), init=False, repr=False, compare=False
+    )
 
     @classmethod
-    def load(cls, der: bytes) -> Self:
+    def load(cls, der: bytes) -> "TrustAnchor":
         """Return the anchor in `der`, a self-signed root certificate. Its validity is not checked."""
+        known = _loaded.use(der)
+        if known is None:  # a sidecar has many nodes, and a new list of domains the same roots
+            known = _loaded[der] = cls._read_root(der)
+        return known
+
+    @classmethod
+    def _read_root(cls, der: bytes) -> "TrustAnchor":
         certificate = svid.parse(der)
         key, subject = svid.key_of(certificate), svid.subject(certificate)
         if not svid.is_signed_by(certificate, subject, key):
@@ -229,20 +241,16 @@ class TrustAnchor:
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
         """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER."""
-        # 1. One or two certificates in this order. No path is built: there verifiers have most of their bugs.
-        match chain:
-            case [leaf]:
-                issuer: TrustAnchor | Intermediate = self
-            case [leaf, second]:
-                issuer = self.check_intermediate(second, now)
-            case _:
-                raise errors.CertificateRefused(
-                    f"a chain of {len(chain)} certificates where one or two are expected",
-                    "send the node's certificate and its intermediate's, if it has one",
-                )
-        # 2. The signature, before anything in the leaf is trusted.
-        identity = self._identity(leaf, issuer)
-        # 3. The times: of the authority first, for whose end the remedy is another one.
+        # 1. Form and signatures. They are a function of the bytes and of this anchor alone, and peers connect
+        #    again for every topic: what was found is kept, and only if all of it was right.
+        certificates = tuple(chain)
+        verified = self._verified.use(certificates)
+        if verified is None:
+            verified = self._verified[certificates] = self._read_chain(certificates)
+        identity, intermediate = verified
+        # 2. The times, at every use: of the issuers first, for whose end the remedy is another one.
+        if intermediate is not None:
+            _check_intermediate_time(intermediate, now)
         self.check_time(now)
         check_time(
             f"certificate of {identity.name}",
@@ -251,11 +259,35 @@ class TrustAnchor:
             now,
             f"where its authority is: {way_back(identity.name)}",
         )
-        # 4. It ends with its intermediate, and is revoked with it.
-        if issuer is self:
-            return identity
-        end = min(identity.not_after, issuer.not_after)
-        return replace(identity, issuers=(issuer.thumbprint,), not_after=end)
+        return identity
+
+    def has_verified(self, chain: Sequence[bytes]) -> bool:
+        """Whether form and signatures of `chain` are known to be right; nothing is said of its times."""
+        return tuple(chain) in self._verified
+
+    def _read_chain(self, chain: tuple[bytes, ...]) -> tuple[Identity, Intermediate | None]:
+        # One or two certificates in this order. No path is built: there verifiers have most of their bugs.
+        match chain:
+            case (leaf,):
+                return self._read_leaf(leaf, self), None
+            case (leaf, second):
+                issuer = self.read_intermediate(second)
+                identity = self._read_leaf(leaf, issuer)
+                # It ends with its intermediate, and is revoked with it.
+                end = min(identity.not_after, issuer.not_after)
+                return replace(identity, issuers=(issuer.thumbprint,), not_after=end), issuer
+            case _:
+                raise errors.CertificateRefused(
+                    f"a chain of {len(chain)} certificates where one or two are expected",
+                    "send the node's certificate and its intermediate's, if it has one",
+                )
+
+    def _read_leaf(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
+        certificate = svid.parse(der)
+        # The signature, before anything in the leaf is trusted.
+        if not svid.is_signed_by(certificate, issuer.subject, issuer.public_key):
+            raise self._foreign("certificate", certificate)
+        return _read(self.domain, certificate, der)
 
     def read_intermediate(self, der: bytes) -> Intermediate:
         """Return the intermediate in `der`. Its validity is not checked here."""
@@ -270,13 +302,7 @@ class TrustAnchor:
 
     def check_intermediate(self, der: bytes, now: int) -> Intermediate:
         found = self.read_intermediate(der)
-        check_time(
-            "intermediate's certificate",
-            found.not_before,
-            found.not_after,
-            now,
-            "at the root: rossec ca intermediate sign FILE --may renew",
-        )
+        _check_intermediate_time(found, now)
         return found
 
     def check_time(self, now: int) -> None:
@@ -302,23 +328,18 @@ class TrustAnchor:
             )
         return errors.ForeignCertificate(f"{text}, but names {claimed!r}" if claimed else text, hint)
 
-    def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
-        known = _cache.get((issuer.certificate, der))
-        if known is not None and known[0].verifies(issuer.public_key):
-            return known[1]
-        certificate = svid.parse(der)
-        signed = svid.certificate_signature(certificate, issuer.subject)
-        if signed is None or not signed.verifies(issuer.public_key):
-            raise self._foreign("certificate", certificate)
-        identity = _read(self.domain, certificate, der)
-        _cache[issuer.certificate, der] = signed, identity
-        return identity
+
+_loaded: Final[Newest[bytes, TrustAnchor]] = Newest(_ROOTS)
 
 
-# By the DER of the issuer and of the leaf. Peers connect again for every topic, and parsing a
-# certificate is a pure function of its bytes, so the result is cached once it has verified.
-# The decision is never cached: signature and validity times are checked each time.
-_cache: Final[Newest[tuple[bytes, bytes], tuple[svid.CertificateSignature, Identity]]] = Newest(CACHE_SIZE)
+def _check_intermediate_time(found: Intermediate, now: int) -> None:
+    check_time(
+        "intermediate's certificate",
+        found.not_before,
+        found.not_after,
+        now,
+        "at the root: rossec ca intermediate sign FILE --may renew",
+    )
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:

@@ -6,7 +6,7 @@ nothing else. docs/spec/domains.md
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -429,16 +429,23 @@ class Anchors:
         held = self._snapshot
         if not held.by_domain or not chain:
             return self.own.verify(chain, now)
-        try:
-            # Not trusted: it selects the one root that is tried, so no root can speak for another's domain.
-            domain = svid.claimed_domain(svid.parse(chain[0]))
-        except errors.CertificateRefused:
-            domain = ""
+        # Its domain selects the one root that is tried, so no root can speak for another's domain.
+        domain = self._domain_of(chain, held.by_domain.values())
         if domain == self.own.domain or domain not in held.by_domain:
             return self.own.verify(chain, now)
         if held.current is None or now >= held.current.expires:
             raise errors.NotAdmitted("the list of domains has expired", "rossec ca refresh")
         return held.by_domain[domain].verify(chain, now)
+
+    def _domain_of(self, chain: Sequence[bytes], listed: Iterable[ListedDomain]) -> str:
+        # What a root has verified is of its domain; of any other chain this is a claim, not trusted.
+        for anchor in (self.own, *(each.anchor for each in listed)):
+            if anchor.has_verified(chain):
+                return anchor.domain
+        try:
+            return svid.claimed_domain(svid.parse(chain[0]))
+        except errors.CertificateRefused:
+            return ""
 
     def listed(self, label: str) -> ListedDomain | None:
         return self._snapshot.by_label.get(label)

@@ -68,6 +68,25 @@ class Connection(Generic[PeerT]):
     """A connection of either role: make one with `initiator` or `responder`. `streams`: where what moves its
     bytes belongs, if its certificate may be renewed."""
 
+    __slots__ = (
+        "__weakref__",
+        "_buffer",
+        "_events",
+        "_handshake_deadline",
+        "_limits",
+        "_negotiation",
+        "_now",
+        "_out",
+        "_own_chain",
+        "_peer",
+        "_preamble",
+        "_renewals",
+        "_sealing",
+        "_session",
+        "state",
+        "streams",
+    )
+
     def __init__(
         self,
         preamble: negotiation.Preamble,
@@ -77,13 +96,12 @@ class Connection(Generic[PeerT]):
         buffer: int = SMALL,
     ) -> None:
         self._preamble = preamble
-        self._negotiation = steps
+        self._negotiation: negotiation.Negotiation[PeerT] | None = steps  # until the connection is open
         self._limits = limits
         self._now = now
         self._handshake_deadline = now + limits.handshake_seconds
         self._buffer = ReceiveBuffer(buffer)
         self._out: list[Bytes] = []
-        self._events: list[Event[PeerT]] = []
         self._peer: PeerT | None = None
         self._session: Session | None = None
         self._sealing = False
@@ -281,8 +299,14 @@ class Connection(Generic[PeerT]):
             self._session.discard()
         self._session = None
         self._buffer.clear()
-        self._negotiation.forget()
+        self._forget_handshake()
         self._out = []
+
+    def _forget_handshake(self) -> None:
+        # Its plaintexts, certificates and ephemeral keys; the secrets also where a traceback keeps it.
+        if self._negotiation is not None:
+            self._negotiation.forget()
+            self._negotiation = None
 
     # -- receiving
 
@@ -313,14 +337,16 @@ class Connection(Generic[PeerT]):
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
         self._now = now
         self._buffer.filled(count)
-        events = self._events = []
+        events: list[Event[PeerT]] = []
+        self._events = events
         try:
             self._process_frames()
             self._buffer.keep()
         except errors.ChannelError as error:
             refusal = _UNKNOWN if isinstance(error, errors.PeerCredentialUnknown) else _REFUSED
             # End; send an error to a peer not authenticated yet, unless it sent one first.
-            answer = self.state in negotiation.UNAUTHENTICATED and not self._negotiation.peer_sent_error
+            steps = self._negotiation
+            answer = self.state in negotiation.UNAUTHENTICATED and not (steps and steps.peer_sent_error)
             out = self._out if self.state in negotiation.UNAUTHENTICATED | PREAMBLE else []
             self._terminate()
             self._out = [*out, refusal] if answer else out
@@ -328,6 +354,8 @@ class Connection(Generic[PeerT]):
         except BaseException:
             self._terminate()  # a bug ends the connection as well
             raise
+        finally:
+            del self._events  # its units may be long, and this connection idle from here on
         return events
 
     def receive_eof(self) -> None:
@@ -383,20 +411,21 @@ class Connection(Generic[PeerT]):
 
     def _handle_frame(self, row: negotiation.Row, head: bytes, body: memoryview) -> None:
         name, following = row
-        if self.state in HANDSHAKING:
-            step = getattr(self._negotiation, name)(bytes(body), self._now)
+        steps = self._negotiation
+        if steps is not None and self.state in HANDSHAKING:
+            step = getattr(steps, name)(bytes(body), self._now)
             if step.peer is not None:
                 self._peer = step.peer
                 self._buffer.enlarge()
-                self._session = self._negotiation.session(self._limits, self._now)
+                self._session = steps.session(self._limits, self._now)
                 self._events.append(negotiation.Authenticated(step.peer))
             elif step.state is ConnectionState.WAIT_3:
                 self._buffer.enlarge(SMALL)
             if step.reply:
                 self._out.append(step.reply)
             if step.state is ConnectionState.OPEN:
-                self._renewals = self._negotiation.renewals(self._now)
-                self._negotiation.forget()
+                self._renewals = steps.renewals(self._now)
+                self._forget_handshake()
                 self.state = step.state
                 self.present_identity(self._own_chain)
             state = step.state

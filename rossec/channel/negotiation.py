@@ -164,6 +164,8 @@ class ConnectionRenewals(Generic[PeerT]):
 class Preamble:
     """The bytes before the first frame, of either role; `accept` makes it a responder's."""
 
+    __slots__ = ("_accept", "_drain", "_reply", "protocol")
+
     def __init__(self, protocol: WireProtocol, accept: Collection[WireProtocol] | None) -> None:
         self.protocol = protocol
         self._reply = b"" if accept is not None else opening.first_bytes(protocol)
@@ -221,6 +223,8 @@ class NegotiationStep(NamedTuple, Generic[PeerT]):
 
 
 class Negotiation(Generic[PeerT]):
+    __slots__ = ("_edhoc", "_retried", "_unconfirmed_peer", "peer_sent_error")
+
     def __init__(self, edhoc: Initiator[PeerT] | Responder[PeerT]) -> None:
         self._edhoc = edhoc
         self._retried = False

@@ -145,6 +145,7 @@ class Epochs:
     of the old one is dropped at once: a silent direction keeps only its own traffic key alive.
     """
 
+    __slots__ = ("_exporter", "_labels", "_suite", "_waiting", "receiver", "sender")
     sender: Direction
     receiver: Direction
 

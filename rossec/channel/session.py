@@ -6,7 +6,6 @@ so that a one-way flow can be renewed again. Nothing of a unit is handed out bef
 verified. Memory grows by what has arrived, a unit's by what has verified: never by what a header announces.
 """
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from io import SEEK_END, BytesIO
 from sys import getrefcount
@@ -40,6 +39,7 @@ _GIVE_BACK: Final = 64 * 1024  # larger buffers are kept: allocating them again 
 _EARNED: Final = 8  # bytes of room for each that arrived: from 8 KiB to the largest size in 2 steps
 _NOTHING: Final = bytearray()
 _NO_VIEW: Final = memoryview(_NOTHING)
+_NO_UNIT: Final = BytesIO()  # never written: most connections never have a unit of several records
 _ITS_OWN: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 _KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
 _RECORD: Final = HEADER + MAX_PLAINTEXT + TAG
@@ -146,8 +146,8 @@ class UnitAssembly:
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
-        self._buffer = BytesIO()
-        self._handed_out: deque[BytesIO] = deque(maxlen=2)  # the next unit comes before one is read
+        self._buffer = _NO_UNIT
+        self._handed_out: tuple[BytesIO, ...] = ()  # the last two: the next unit comes before one is read
         self._room = 0
         self._last = 0  # size of the last unit: the next one is likely to be as large
         self.length = 0
@@ -159,7 +159,8 @@ class UnitAssembly:
             # Only whether it pays depends on the count: a `BytesIO` never writes into bytes that
             # are referenced elsewhere, it moves to a copy of its own first.
             if self._handed_out and getrefcount(self._handed_out[0].getvalue()) == _ITS_OWN:
-                self._buffer = self._handed_out.popleft()
+                self._buffer, *rest = self._handed_out
+                self._handed_out = tuple(rest)
                 self._room = self._buffer.seek(0, SEEK_END)
         if end > self._room:
             self._grow(end)
@@ -191,13 +192,12 @@ class UnitAssembly:
         self._buffer.truncate(self.length)
         unit = self._buffer.getvalue()
         if self.length <= _KEEP:
-            self._handed_out.append(self._buffer)
+            self._handed_out = (*self._handed_out[-1:], self._buffer)
         self._last, self.length = self.length, 0
         return unit
 
     def discard(self) -> None:
-        self._buffer = BytesIO()
-        self._handed_out.clear()
+        self._buffer, self._handed_out = _NO_UNIT, ()
         self._room = self.length = 0
 
     def check_room(self, body: int) -> int:
@@ -213,6 +213,8 @@ class UnitAssembly:
 
 
 class Session:
+    __slots__ = ("_epochs", "_limits", "_progress", "_scratch", "_unit", "pad", "renew_at")
+
     def __init__(self, epochs: Epochs, limits: ChannelLimits, now: int) -> None:
         self._epochs = epochs
         self._limits = limits

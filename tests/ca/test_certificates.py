@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ca import certificates, svid
-from ca.bounded import Newest
 from ca.certificates import Identity, TrustAnchor, from_pem, to_pem
 from ca.errors import CertificateExpired, CertificateNotYetValid, CertificateRefused, ForeignCertificate
 from ca.keys.signing import thumbprint
@@ -232,28 +231,62 @@ def test_no_tail_for_the_master_and_the_authority(name: str) -> None:
         SITE.anchor.verify([with_tail(f"spiffe://home{name}")], NOW)
 
 
-def test_what_a_certificate_says_is_remembered_but_no_verdict() -> None:
-    leaf = SITE.leaf()
-    assert SITE.anchor.verify([leaf], NOW) is SITE.anchor.verify([leaf], NOW)
-    with pytest.raises(ForeignCertificate):  # another authority of the same trust domain
-        Site.create().anchor.verify([leaf], NOW)
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """The signatures that are verified from here on."""
+    found: list[bytes] = []
+    verifies = svid.CertificateSignature.verifies
+
+    def verify(signed: svid.CertificateSignature, key: ec.EllipticCurvePublicKey) -> bool:
+        found.append(signed.signature)
+        return verifies(signed, key)
+
+    monkeypatch.setattr(svid.CertificateSignature, "verifies", verify)
+    return found
+
+
+def test_a_chain_is_verified_once_and_its_times_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    leaf, verified = SITE.leaf(), counted(monkeypatch)
+    identity = SITE.anchor.verify([leaf], NOW)
+    assert SITE.anchor.verify((leaf,), NOW) is identity
+    assert len(verified) == 1
     with pytest.raises(CertificateExpired):
         SITE.anchor.verify([leaf], NOW + 31 * DAY)
+    assert SITE.anchor.verify([leaf], NOW) is identity  # a clock that was set back, for the tests' sake
+    with pytest.raises(ForeignCertificate):  # another authority of the same trust domain
+        Site.create().anchor.verify([leaf], NOW)
 
 
-def test_a_remembered_certificate_is_verified_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    leaf = SITE.leaf()
-    SITE.anchor.verify([leaf], NOW)
-    monkeypatch.setattr(svid.CertificateSignature, "verifies", lambda *_: False)
-    with pytest.raises(ForeignCertificate):
-        SITE.anchor.verify([leaf], NOW)
+def test_only_chains_that_verified_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    site = Site.create(now=NOW - 100 * DAY)
+    leaf, verified = site.leaf(), counted(monkeypatch)
+    damaged = leaf[:-1] + bytes([leaf[-1] ^ 1])
+    for _ in range(2):
+        with pytest.raises(ForeignCertificate):
+            site.anchor.verify([damaged], NOW)
+    assert len(verified) == 2
+    assert not site.anchor.has_verified([damaged])
+    expired = site.leaf(now=NOW - 100 * DAY)  # signed, so its form is kept; its time is over each time
+    for _ in range(2):
+        with pytest.raises(CertificateExpired):
+            site.anchor.verify([expired], NOW)
+    assert len(verified) == 3
 
 
-def test_so_many_certificates_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(certificates, "_cache", Newest(2))
-    first, *others = (SITE.leaf() for _ in range(3))
-    identity = SITE.anchor.verify([first], NOW)
-    for leaf in others:
-        SITE.anchor.verify([leaf], NOW)
-    assert SITE.anchor.verify([first], NOW) is not identity
-    assert len(certificates._cache) == 2
+def test_so_many_chains_of_one_root_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certificates, "CHAINS", 2)
+    site, other = Site.create(), Site.create("hospital.example")
+    first, *rest = (site.leaf() for _ in range(3))
+    foreign = other.leaf()
+    other.anchor.verify([foreign], NOW)
+    identity = site.anchor.verify([first], NOW)
+    for leaf in rest:
+        site.anchor.verify([leaf], NOW)
+    assert not site.anchor.has_verified([first])
+    assert site.anchor.verify([first], NOW) == identity
+    assert [site.anchor.has_verified([leaf]) for leaf in rest] == [False, True]
+    assert other.anchor.has_verified([foreign])  # one authority's chains push out none of another's
+
+
+def test_one_root_is_one_anchor() -> None:
+    assert TrustAnchor.load(SITE.root) is SITE.anchor
+    assert TrustAnchor.load(Site.create().root) is not SITE.anchor

@@ -42,8 +42,32 @@ class SecureStream(BaseStream, Generic[PeerT]):
     """One authenticated connection on a loop; it owns its transport and starts at once. `transport` makes
     what carries its bytes: `partial(Transport, sock)` for a connected socket."""
 
+    __slots__ = (
+        "__weakref__",
+        "_abort_at",
+        "_burst_until",
+        "_flush_due",
+        "_join",
+        "_limit",
+        "_on_authenticated",
+        "_on_end",
+        "_on_renewal",
+        "_queue",
+        "_queued",
+        "_small",
+        "_socket_closed",
+        "_timer",
+        "_turn",
+        "_untold",
+        "_when_closed",
+        "address",
+        "authenticated",
+        "connection",
+        "get_buffer",
+        "peer",
+    )
     peer: PeerT  # the identity of the peer's certificate, once it is authenticated
-    _on_authenticated: Callable[[Self], None]
+    _on_authenticated: Callable[[Self], None] | None
     _on_end: Callable[[Self, ChannelError], None]
 
     def __init__(
@@ -116,7 +140,9 @@ class SecureStream(BaseStream, Generic[PeerT]):
             elif isinstance(event, Authenticated):
                 self.peer = event.identity
                 self.authenticated = True
-                self._on_authenticated(self)
+                called, self._on_authenticated = self._on_authenticated, None
+                if called is not None:
+                    called(self)
                 # The last flight leaves with what is sent in this turn: two writes and wake-ups less (0008).
                 self._loop.call_soon(self.flush)
                 self._arm()

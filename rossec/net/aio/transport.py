@@ -243,6 +243,19 @@ class BaseStream:
     the end, and wakes the waiters.
     """
 
+    # Above 30 attributes each object's dict costs 1.6 kB.
+    __slots__ = (
+        "_callback",
+        "_forward_error",
+        "_loop",
+        "_take",
+        "_units",
+        "_unread",
+        "_waiters",
+        "_write_nowait",
+        "error",
+        "transport",
+    )
     transport: ByteTransport
 
     def __init__(self) -> None:

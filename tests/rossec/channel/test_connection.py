@@ -2,6 +2,7 @@
 
 import pytest
 
+from rossec.channel.edhoc.suites import GONE
 from rossec.channel.negotiation import Closed, ConnectionState
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes, ChannelLimits
@@ -155,8 +156,18 @@ def test_secrets_do_not_appear_in_representations() -> None:
     session = w.left.core._session
     assert session is not None
     assert repr(session._epochs._exporter) == "Exporter(...)"
-    with pytest.raises(HandshakeFailed):  # an open connection needs it no more
-        _ = w.left.core._negotiation._edhoc.exporter
+
+
+def test_an_open_connection_keeps_nothing_of_its_handshake() -> None:
+    w: Wire = wire(alice(), bob())
+    steps = [end.core._negotiation for end in (w.left, w.right)]
+    w.pump()
+    for end, each in zip((w.left, w.right), steps, strict=True):
+        assert end.core._negotiation is None
+        assert each is not None
+        with pytest.raises(HandshakeFailed):
+            _ = each._edhoc.exporter
+        assert each._edhoc._prk is GONE
 
 
 def test_the_socket_writes_into_the_buffer_of_the_connection() -> None:

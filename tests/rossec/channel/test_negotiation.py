@@ -134,7 +134,8 @@ def test_garbage_is_dropped_silently() -> None:
 @pytest.mark.parametrize("suites", [(-24,), (-24, 6)])
 def test_the_hybrid_suite(suites: tuple[int, ...]) -> None:
     w = wire(alice(suites=suites), bob(suites=suites)).pump()
-    assert w.right.core._negotiation._edhoc.suite.number == -24
+    assert w.right.core._session is not None
+    assert w.right.core._session._epochs._suite.number == -24
     w.left.core.send_unit(b"x")
     assert w.pump().right.units == [b"x"]
 

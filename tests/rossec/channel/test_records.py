@@ -102,11 +102,19 @@ def test_lengths_are_checked_before_anything_is_buffered(kind: Frame, shortest: 
 # -- epochs
 
 
-def test_keys_come_when_they_are_asked_for_and_nothing_else_does() -> None:
+def test_keys_come_when_they_are_asked_for_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    derived, derive = list[int](), Epochs._derive
+
+    def noted(epochs: Epochs, epoch: int) -> tuple[Direction, Direction]:
+        derived.append(epoch)
+        return derive(epochs, epoch)
+
+    monkeypatch.setattr(Epochs, "_derive", noted)
     left, right = sides()
-    assert "sender" not in vars(left)
+    assert derived == []
     assert right.receiver.epoch == left.sender.epoch == 0
-    assert "receiver" in vars(left)
+    assert left.receiver.epoch == right.sender.epoch == 0
+    assert derived == [0, 0]
     with pytest.raises(AttributeError, match="keys"):
         left.keys  # noqa: B018 - asking is the test
 

@@ -194,7 +194,7 @@ def test_try_send_does_not_wait(listener: SecureListener[FakeIdentity]) -> None:
         sender = background(left.sendall)
         got = read(right, 4 + number * 4000)
         sender.join(30)
-        assert not vars(left._core)["_out"]
+        assert not left._core.has_data_to_send
         assert got == b"0000" + b"".join(b"%04d" % count * 1000 for count in range(1, number + 1))
         left.sendall(b"after")
         assert right.recv(10) == b"after"
