@@ -23,9 +23,10 @@ from typing import Any
 
 from bench import _population
 from bench._callers import caller_cpu
-from bench._latency import node_environ, percentile, plain_updates, revocation, secure_updates
+from bench._latency import node_environ, plain_updates, secure_updates
 from bench._lines import Call, CompactLine, Line, SecureLine, drive, request
 from bench._masters import EnrolledNode, Master, enroll, ours, stock
+from bench._revocations import revocation
 from rossec.master.server.server import TIMESTAMP_EVERY
 from rossec.ros import xmlrpc
 from tests.support.site import Site
@@ -196,14 +197,20 @@ def updates(site: Site, folder: Path) -> dict[str, Any]:
 
 
 def revocations(site: Site) -> dict[str, Any]:
-    """Milliseconds from a revocation to the last message, by number of connections."""
-    found = {}
-    for count in CONNECTIONS:
+    """By number of connections of one publisher, of which all end; `links_1000`: some of a thousand."""
+
+    def found(count: int, revoked: int) -> dict[str, float]:
         with ours(site) as master:
-            taken = asyncio.run(revocation(site, node_environ(site, master), count))
-        figures = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
-        found[count] = {name: percentile(taken, share) for name, share in figures.items()}
-    return {"revoke_ms": found, "revoke_ms_p50": found[100]["p50"], "revoke_ms_p99": found[100]["p99"]}
+            return asyncio.run(revocation(site, node_environ(site, master), count, revoked))
+
+    by_count = {count: found(count, count) for count in CONNECTIONS}
+    some = {str(revoked): found(1000, revoked) for revoked in (1, 100)}
+    return {
+        "revoke_ms": by_count,
+        "revoke_ms_p50": by_count[100]["from_master_p50"],
+        "revoke_ms_p99": by_count[100]["from_master_p99"],
+        "links_1000": {**some, "all": by_count[1000]},
+    }
 
 
 def measure(seconds: float) -> dict[str, Any]:

@@ -94,11 +94,13 @@ class Revocations:
         # checks and before the list takes effect; if it raises, nothing changes. An expired list is applied
         # too: what it revokes stays revoked, and `check` refuses everything else. A new list needs a new
         # confirmation. With a tree, what was known to be revoked stays so.
-        # 1. Verified, and not older than what was seen before: also over a restart, by the saved `floor`.
+        # 1. Verified, once: a list comes by as many connections as a node has programs, and again after each
+        # reconnection. The same octets are the same list, and what is in force is never below the floor.
+        if self.current is not None and data == self.data:
+            return frozenset()
+        # Not older than what was seen before: also over a restart, by the saved `floor`.
         revocations = open_statement(data, self._key)
         self.check_number(revocations)
-        if data == self.data:
-            return frozenset()
         # 2. On the disk before it takes effect (CVE-2025-2888 in tough was that order reversed).
         if persist is not None:
             persist(data)

@@ -190,10 +190,15 @@ class SecureStream(BaseStream, Generic[PeerT]):
         if data:
             self.transport.write(data)
 
-    def abort(self, reason: str) -> None:
-        # At once, for example because the peer's grant was revoked; the peer sees a truncation.
-        self._end(ChannelClosed(reason))
+    def disconnect(self) -> None:
+        """Close the socket and call nothing back in this turn, in which `abort` follows with the reason."""
         self.transport.abort()
+
+    def abort(self, reason: str) -> None:
+        # At once, for example because the peer's grant was revoked; the peer sees a truncation. The socket
+        # first: whoever is told here may take its time.
+        self.transport.abort()
+        self._end(ChannelClosed(reason))
 
     def fail(self, error: ChannelError) -> None:
         self.flush()
