@@ -141,6 +141,7 @@ def _view(told: Connection, anchor: TrustAnchor, members: Sequence[EnrolledNode]
         poll.register(sock, select.EPOLLIN)
     poll.register(told.fileno(), select.EPOLLIN)
     by_number = {sock.fileno(): sock for sock in sockets}
+    revoked: tuple[int, ...] = ()
     left: set[int] | None = None
     last: dict[int, float] = {}
     end = time.monotonic() + 2 * GIVE_UP

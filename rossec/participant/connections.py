@@ -73,7 +73,7 @@ class ConnectionTable(Generic[StreamT]):
         self._master = master
         self._lock = Lock()  # never held together with the other one
         self._accepted: dict[AcceptedStream, _Accepted] = {}
-        # Of `_accepted`, by source: who has a thousand connections must not make each new one cost a thousand.
+        # Of `_accepted`, by source: what is accepted costs the same beside a thousand connections.
         self._by_source: Counter[bytes | str] = Counter()
         self._shown_by_source: Counter[bytes | str] = Counter()
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()

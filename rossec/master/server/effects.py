@@ -20,7 +20,6 @@ from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import is_alias, is_in_gateway, shown
-from ca.revocation.lists import digest
 from grants.model import Right
 from grants.request import is_dispensable, needed_rule, own_form, rule_form
 from rossec import files
@@ -288,6 +287,7 @@ class Effects:
         self.updates.post(node, (method, about), self._state.name, subject, *rest)
 
     def _enforce_list(self) -> None:
+        self._cut_revoked()  # first: what is registered is checked against every right, and takes longer
         for _ in islice(self.enforcement(), STEPS_AT_ONCE):
             pass
         self.close_revoked()  # also their pending updates
@@ -303,24 +303,31 @@ class Effects:
             yield
 
     def close_revoked(self) -> None:
+        self._cut_revoked()
         now = self._state.now()
-        for stream in tuple(self._state.streams):
-            try:
-                self._state.trust.caller(stream.peer, now)
-            except HintedError as error:
-                name = shown(stream.peer.name)
-                _audit.warning("%s is disconnected: %s", name, printable(error))
-                self._state.streams.discard(stream)  # its handler ends in a later iteration
-                stream.abort(str(error))
         for node in self.updates.nodes:
             if self._state.trust.caller_of(node, now) is None:
                 self.updates.drop(node)
 
+    def _cut_revoked(self) -> None:
+        # All of them before a line about one: lines of the audit take longer than the cuts.
+        now, revoked = self._state.now(), []
+        for stream in tuple(self._state.streams):
+            try:
+                self._state.trust.caller(stream.peer, now)
+            except HintedError as error:
+                stream.disconnect()
+                revoked.append((stream, error))
+        for stream, error in revoked:
+            self._state.streams.discard(stream)  # its handler ends in a later iteration
+            stream.abort(str(error))
+        for stream, error in revoked:
+            _audit.warning("%s is disconnected: %s", shown(stream.peer.name), printable(error))
+
     def _record_taken(self, node: NodeRef, method: str, params: tuple[object, ...]) -> None:
         match params:
             case (_, bytes(revocations), _) if revocations and method == REVOCATION_UPDATE:
-                taken = digest(revocations)
-                self._state.trust.held_lists.record(node, taken, self._state.now())
+                self._state.trust.record_taken(node, revocations, self._state.now())
 
     def drop_deposits(self) -> None:
         file = self._state.deposit_file

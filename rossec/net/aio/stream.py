@@ -191,8 +191,8 @@ class SecureStream(BaseStream, Generic[PeerT]):
             self.transport.write(data)
 
     def disconnect(self) -> None:
-        """Close the socket and call nothing back in this turn, in which `abort` follows with the reason."""
-        self.transport.abort()
+        """Let nothing pass any more and call nothing back; `abort` follows in this turn, with the reason."""
+        self.transport.disconnect()
 
     def abort(self, reason: str) -> None:
         # At once, for example because the peer's grant was revoked; the peer sees a truncation. The socket
