@@ -9,7 +9,7 @@ import asyncio
 import logging
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -32,6 +32,7 @@ from rossec.master.server.updates import MAX_CLOSING, LongPolls, SlaveDialer, Up
 from rossec.master.state.imported_facts import TypeContradicted
 from rossec.master.state.registry import NodeRef, PublishersChanged, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.net.rpc import source_of
 from rossec.peer_limits import printable
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
 
@@ -137,6 +138,33 @@ GRANTS_WAIT: Final = 60.0  # seconds; an answer without grants shows that the ma
 MAX_WAITING: Final = 64  # calls of one key that wait for grants: the nodes of a wildcard identity
 
 
+class ConnectedStreams:
+    """The streams of admitted peers, also by the group that shares a limit: a key, or a foreign domain."""
+
+    # One that comes is counted beside its own group, not beside all. A renewed identity stays in its group.
+    def __init__(self) -> None:
+        self._groups: dict[SecureStream[Identity], Hashable] = {}
+        self._members: dict[Hashable, dict[SecureStream[Identity], None]] = {}
+
+    def __iter__(self) -> Iterator[SecureStream[Identity]]:
+        return iter(tuple(self._groups))
+
+    def add(self, stream: SecureStream[Identity]) -> None:
+        group = self._groups[stream] = source_of(stream.peer).group
+        self._members.setdefault(group, {})[stream] = None
+
+    def discard(self, stream: SecureStream[Identity]) -> None:
+        if stream not in self._groups:
+            return
+        group = self._groups.pop(stream)
+        del self._members[group][stream]
+        if not self._members[group]:
+            del self._members[group]
+
+    def of_group(self, group: Hashable) -> list[SecureStream[Identity]]:
+        return list(self._members.get(group, ()))
+
+
 @dataclass(kw_only=True)
 class MasterState(methods.MasterTables):
     """The state of one master, used in its event loop only."""
@@ -146,7 +174,7 @@ class MasterState(methods.MasterTables):
     on_denial: OnDenial = ignore_denial
     parameter_file: ParameterFile | None = None  # None: parameters do not survive a restart
     deposit_file: DepositFile | None = None  # None: no deposit is accepted
-    streams: set[SecureStream[Identity]] = field(default_factory=set)
+    streams: ConnectedStreams = field(default_factory=ConnectedStreams)
     graph_changes: LongPolls = field(default_factory=LongPolls)
     grant_changes: LongPolls = field(default_factory=partial(LongPolls, 0.0, MAX_WAITING))
     site_polls: LongPolls = field(default_factory=partial(LongPolls, limit=1))  # followers
@@ -310,19 +338,20 @@ class Effects:
                 self.updates.drop(node)
 
     def _cut_revoked(self) -> None:
-        # All of them before a line about one: lines of the audit take longer than the cuts.
-        now, revoked = self._state.now(), []
-        for stream in tuple(self._state.streams):
+        # All of them before a line about one: lines of the audit take longer than the cuts. Whom the list
+        # names first: the grants of all others are evaluated anew.
+        now, revoked, entries = self._state.now(), [], self._state.trust.revoked()
+        for stream in sorted(self._state.streams, key=lambda each: entries.isdisjoint(each.peer.keys)):
             try:
                 self._state.trust.caller(stream.peer, now)
             except HintedError as error:
                 stream.disconnect()
-                revoked.append((stream, error))
-        for stream, error in revoked:
+                revoked.append((stream, str(error)))
+        for stream, reason in revoked:
             self._state.streams.discard(stream)  # its handler ends in a later iteration
-            stream.abort(str(error))
-        for stream, error in revoked:
-            _audit.warning("%s is disconnected: %s", shown(stream.peer.name), printable(error))
+            stream.abort(reason)
+        for stream, reason in revoked:
+            _audit.warning("%s is disconnected: %s", shown(stream.peer.name), printable(reason))
 
     def _record_taken(self, node: NodeRef, method: str, params: tuple[object, ...]) -> None:
         match params:

@@ -216,7 +216,9 @@ class Updates:
 
     def _end(self, node: NodeRef, what: str) -> None:
         _, tasks = self._clients.pop(node)
-        self._of_key -= Counter((node.thumbprint,))  # drops zeros
+        self._of_key[node.thumbprint] -= 1
+        if not self._of_key[node.thumbprint]:
+            del self._of_key[node.thumbprint]
         self._closing.spawn(tasks.close(), f"{what} {node.name}")
 
     async def close(self) -> None:
