@@ -43,7 +43,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int, revoked: i
     """Milliseconds for `count` subscribers of one publisher, of whose grants one list revokes `revoked`.
 
     `from_master_*`: from the moment the master has the list, `from_arrival_*` from that at which the node
-    has it. `cut_cpu`: the node's processor time from there to the last socket that is closed, `cpu` to the
+    has it. `cut_cpu`: the node's processor time from there to the last socket that is shut, `cpu` to the
     last word about one.
     """
     site.grant("/robot", Right.PUBLISH, TOPIC)
@@ -84,9 +84,9 @@ async def revocation(site: Site, environ: dict[str, str], count: int, revoked: i
 
 @contextmanager
 def _timed(robot: Node) -> Iterator[dict[str, float]]:
-    # When the list comes, when the last socket is closed for it, and when all is done.
+    # When the list comes, when the last socket is shut for it, and when all is done.
     at: dict[str, float] = {}
-    membership, close = robot._membership, Transport.abort  # noqa: SLF001
+    membership, disconnect = robot._membership, Transport.disconnect  # noqa: SLF001
     update = membership.update_revocations
 
     def timed_update(revocations: bytes, *rest: Any) -> None:
@@ -98,16 +98,15 @@ def _timed(robot: Node) -> Iterator[dict[str, float]]:
         finally:
             at["done"] = time.process_time()
 
-    def timed_close(transport: Transport) -> None:
-        was_open = not transport.closed
-        close(transport)
-        if at and was_open and "done" not in at:
+    def timed_disconnect(transport: Transport) -> None:
+        disconnect(transport)
+        if at and "done" not in at:
             at["cut"] = time.process_time()
 
     with (
         mock.patch.object(membership, "update_revocations", timed_update),
         mock.patch.object(membership.session, "_refresh", timed_update),  # a heartbeat may be first
-        mock.patch.object(Transport, "abort", timed_close),
+        mock.patch.object(Transport, "disconnect", timed_disconnect),
     ):
         yield at
 
