@@ -1,4 +1,4 @@
-"""Latency of publisher updates with dead nodes, and of revocations to the last message."""
+"""Latency of publisher updates with dead nodes."""
 
 import asyncio
 import contextlib
@@ -14,17 +14,9 @@ from bench._lines import Line, request
 from bench._masters import EnrolledNode, Master, enroll
 from bench._population import TYPE
 from ca.certificates import Identity
-from ca.encoding import encode
-from grants.document import grant_id
 from grants.model import Right
-from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc import RpcClient, serve_calls
-from rossec.node import Node
-from rossec.participant.access import FIELD
-from rossec.participant.handshakes import TopicEndpoint
-from rossec.participant.message_types import message_type
-from rossec.ros import tcpros
 from tests.support.site import Site
 
 TOPIC = "/shared/t"
@@ -132,77 +124,6 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
                 taken.append(await told.get() - begin)
         await server.close()
     return round(median(taken) * 1000, 2)
-
-
-async def revocation(site: Site, environ: dict[str, str], count: int) -> list[float]:
-    """Milliseconds from the moment the master has the list, for each of `count` subscribers of one
-    publisher, to the later of its last message and the end of its connection."""
-    site.grant("/robot", Right.PUBLISH, TOPIC)
-    members = [enroll(site, f"/viewer{n}", {TOPIC: Right.SUBSCRIBE}) for n in range(count)]
-    kind = message_type(KIND)
-    endpoint = TopicEndpoint(TOPIC, kind)
-    async with Node("/robot", environ=environ) as robot:
-        publisher = await robot.publisher(TOPIC, KIND)
-        host, port = robot.topic_endpoint()
-        ends: list[float] = []
-
-        async def view(stream: SecureStream[Identity]) -> None:
-            with contextlib.suppress(ChannelError):
-                while True:
-                    await stream.receive()
-            ends.append(time.perf_counter())
-
-        async def join(member: EnrolledNode) -> SecureStream[Identity]:
-            stream = await connect(host, port, SecureContext(member.credentials, site.anchor.verify))
-            fields: dict[str, str | bytes] = {
-                "callerid": member.name,
-                "topic": endpoint.topic,
-                "type": kind.name,
-                "md5sum": kind.md5sum,
-                FIELD: encode([member.grant]),
-            }
-            await stream.send(tcpros.encode(fields))
-            return stream
-
-        async with asyncio.TaskGroup() as group:
-            turn = asyncio.Semaphore(8)
-
-            async def come(member: EnrolledNode) -> None:
-                async with turn:
-                    stream = await join(member)
-                group.create_task(view(stream))
-
-            for member in members:
-                group.create_task(come(member))
-            async with asyncio.timeout(120):
-                await publisher.wait_for_subscribers(count)
-            talking = group.create_task(_talk(publisher, max(0.01, count / 5000)))
-            await asyncio.sleep(0.5)
-            data = _revoke(site, members)
-            begin = time.perf_counter()
-            await robot._membership.session.call("rossec.updateRevocations", data)  # noqa: SLF001
-            async with asyncio.timeout(60):
-                while len(ends) < count:  # noqa: ASYNC110
-                    await asyncio.sleep(0.01)
-            talking.cancel()
-    return sorted((end - begin) * 1000 for end in ends)
-
-
-def _revoke(site: Site, members: list[EnrolledNode]) -> bytes:
-    """One list that revokes all their grants."""
-    now = site.now()
-    for member in members:
-        site.authority.store.revoke(grant_id(member.grant), "bench", now)
-    site.authority.sign_list(now)
-    data = site.authority.store.newest_list()
-    assert data is not None
-    return data
-
-
-async def _talk(publisher: object, period: float) -> None:
-    while True:
-        publisher.publish(publisher.create(data="x" * 64))  # type: ignore[attr-defined]
-        await asyncio.sleep(period)
 
 
 def percentile(values: list[float], share: float) -> float:

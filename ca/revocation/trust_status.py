@@ -40,6 +40,7 @@ class Revocations:
         self.fresh = fresh
         self.current: lists.RevocationList | lists.RevocationTree | None = None
         self.data = b""  # as signed
+        self.digest = lists.digest(b"")  # of `data`: computed once, and compared for each node that has it
         self.entries: frozenset[bytes] = frozenset()
         self._received = 0
         self._complete = True  # False: `_entries` are the known ones of a tree
@@ -94,11 +95,13 @@ class Revocations:
         # checks and before the list takes effect; if it raises, nothing changes. An expired list is applied
         # too: what it revokes stays revoked, and `check` refuses everything else. A new list needs a new
         # confirmation. With a tree, what was known to be revoked stays so.
-        # 1. Verified, and not older than what was seen before: also over a restart, by the saved `floor`.
+        # 1. Verified, once: a list comes by as many connections as a node has programs, and again after each
+        # reconnection. The same octets are the same list, and what is in force is never below the floor.
+        if self.current is not None and data == self.data:
+            return frozenset()
+        # Not older than what was seen before: also over a restart, by the saved `floor`.
         revocations = open_statement(data, self._key)
         self.check_number(revocations)
-        if data == self.data:
-            return frozenset()
         # 2. On the disk before it takes effect (CVE-2025-2888 in tough was that order reversed).
         if persist is not None:
             persist(data)
@@ -107,6 +110,7 @@ class Revocations:
         entries = revocations.entries if isinstance(revocations, lists.RevocationList) else self.entries
         added = entries - self.entries
         self.current, self.data, self.floor = revocations, data, revocations.number
+        self.digest = lists.digest(data)
         self.entries, self._received = entries, now
         self._confirmed, self._relied_until = None, 0
         self._absent, self._unproved = set(), {}
@@ -116,7 +120,7 @@ class Revocations:
         """Apply a timestamp, opened with `open_timestamp`: the current list is the newest."""
         if self.current is None:
             raise errors.RevocationRefused("a timestamp came before any revocation list", _STALE)
-        if timestamp.seq != self.current.seq or timestamp.digest != lists.digest(self.data):
+        if timestamp.seq != self.current.seq or timestamp.digest != self.digest:
             raise errors.RevocationRefused(
                 f"the timestamp is for another list than the current number {self.current.seq}",
                 "fetch the newest list from the master",

@@ -222,7 +222,7 @@ class Connections:
             # In the table before it is judged: a revocation that arrives meanwhile finds it there.
             peer = sock.handshake()
             caller = shown(peer.name)
-            self._process.connections.accept(sock, peer, sock.abort)
+            self._process.connections.accept(sock, peer)
             self._local_identity.access.check_peer(peer, now())
             fields = receive(sock)
             self._admit_caller(server, sock, where, fields)
@@ -247,7 +247,7 @@ class Connections:
         if not name or not self._process.allows_plain(name, where[0]):
             return False
         sock.switch_to_plain()
-        self._process.connections.accept(sock, where[0], sock.abort)
+        self._process.connections.accept(sock, where[0])
         receive(sock)
         sock.connection = PlainConnection()
         handler = getattr(server, f"{kind}_connection_handler")

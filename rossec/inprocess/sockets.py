@@ -382,6 +382,10 @@ class RosSocket(Renewing):
                 self._socket.shutdown(how)
 
     def abort(self, _reason: str = "") -> None:
+        if not self.aborted:
+            self.disconnect()
+
+    def disconnect(self) -> None:
         self.aborted = True
         if isinstance(self._stream, SecureSocket):
             self._stream.abort()

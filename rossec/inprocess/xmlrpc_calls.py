@@ -83,7 +83,7 @@ class XmlRpcServer:
         try:
             peer = stream.do_handshake()
             caller = shown(peer.name)
-            self._process.connections.accept(stream, peer, lambda _: stream.shutdown())
+            self._process.connections.accept(stream, peer)
             # Only the master may send long calls: of others nothing more is buffered.
             if self._is_master(peer):
                 stream.raise_unit_limit()

@@ -198,6 +198,9 @@ class LinkTransport:
         self._ending, self._reading = True, False
         self.write_eof()
 
+    def disconnect(self) -> None:
+        self.abort()
+
     def abort(self) -> None:
         if self.closed:
             return

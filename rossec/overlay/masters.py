@@ -207,7 +207,7 @@ class RelayMember:
 
     def admit(self, link: SecureStream[Identity]) -> None:
         """Count a link with an authenticated relay until it is closed; it is cut when it must end."""
-        self._connections.accept(link, link.peer, link.abort)  # a list may arrive meanwhile
+        self._connections.accept(link, link.peer)  # a list may arrive meanwhile
         self._links.add(link)
         link.when_closed(partial(self._forget, link))
         if self._failed:

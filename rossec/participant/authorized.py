@@ -60,6 +60,9 @@ class PeerStream(Protocol):
 
     # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
     def pad_units(self, multiple: int) -> None: ...
+
+    # Let nothing pass any more and call nothing back: `abort` follows, and says why to whoever waits.
+    def disconnect(self) -> None: ...
     def abort(self, reason: str) -> None: ...
 
 
@@ -95,6 +98,7 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
     swap: Callable[[GuardT], None] | None = None  # replaces the guard in force; None: it is the attribute
     presented: Presented = field(default_factory=Presented)  # by both sides, since it is open
     ends: int = field(init=False)  # when the grant or the certificate of the peer expires (seconds)
+    entries: tuple[bytes, ...] = field(init=False)  # of a list that names the peer or one of its grants
 
     def __post_init__(self) -> None:
         self.update_end()
@@ -103,6 +107,7 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
 
     def update_end(self) -> None:
         self.ends = min(self.decision.expires, self.stream.peer.not_after)
+        self.entries = *self.stream.peer.keys, *self.decision.grant_ids
 
     def replace(self, decision: Decision, guard: GuardT) -> None:
         """Another decision, with its guard, takes the place of the one in force.

@@ -2,17 +2,19 @@
 
 A connection is in the table before it is checked once more, and checked before data passes: a revocation that
 arrives while it is admitted finds it there, or is found by the check. The tables are thread-safe; a
-connection is cut with no lock held. What a form of a node adds is the stream.
+connection is cut with no lock held. Of many that end at once all are cut before a word is said of one: a line
+of the log takes longer than a cut. What a form of a node adds is the stream.
 """
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from threading import Lock
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import NotAdmitted
@@ -44,10 +46,14 @@ PublisherT = TypeVar("PublisherT")
 _log = logging.getLogger("rossec.node")
 
 
+class AcceptedStream(Protocol):
+    def disconnect(self) -> None: ...
+    def abort(self, reason: str) -> None: ...
+
+
 class _Accepted(NamedTuple):
     source: bytes | str
     peer: Identity | str
-    abort: Callable[[str], None]
     shown: bool = False  # by a grant that authorized it
 
 
@@ -66,7 +72,10 @@ class ConnectionTable(Generic[StreamT]):
         self._most = most
         self._master = master
         self._lock = Lock()  # never held together with the other one
-        self._accepted: dict[object, _Accepted] = {}
+        self._accepted: dict[AcceptedStream, _Accepted] = {}
+        # Of `_accepted`, by source: what is accepted costs the same beside a thousand connections.
+        self._by_source: Counter[bytes | str] = Counter()
+        self._shown_by_source: Counter[bytes | str] = Counter()
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
         self._closed: str | None = None
         self.renewed: RenewedGrants | None = None  # None: no connection takes renewals
@@ -79,7 +88,7 @@ class ConnectionTable(Generic[StreamT]):
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
             try:
-                self.accept(stream, stream.peer, stream.abort, limited=stream.peer.name != self._master)
+                self.accept(stream, stream.peer, limited=stream.peer.name != self._master)
             except LimitExceeded:
                 _log.warning("%s has too many connections", shown(stream.peer.name))
                 stream.abort("too many connections of one identity")
@@ -89,11 +98,9 @@ class ConnectionTable(Generic[StreamT]):
 
         return serve_one
 
-    def accept(
-        self, key: object, peer: Identity | str, abort: Callable[[str], None], *, limited: bool = True
-    ) -> None:
-        """Count a connection of `peer` until `forget` is called with the same key. A foreign authority
-        certifies any number of keys, so its domain counts as one peer."""
+    def accept(self, stream: AcceptedStream, peer: Identity | str, *, limited: bool = True) -> None:
+        """Count a connection of `peer` until it is forgotten. A foreign authority certifies any number of
+        keys, so its domain counts as one peer."""
         source: bytes | str = peer if isinstance(peer, str) else peer.thumbprint
         if not isinstance(peer, str) and peer.is_foreign:
             source = f"domain {peer.domain}"
@@ -102,21 +109,32 @@ class ConnectionTable(Generic[StreamT]):
         with self._lock:
             if limited:
                 # N8: a certified peer can exhaust this node's descriptors as well as a stranger.
-                same = [each for each in self._accepted.values() if each.source == source]
-                if len(same) >= most:
+                count = self._by_source[source]
+                if count >= most:
                     raise LimitExceeded(f"{shown(name)} has {most} connections already")
                 # Who has shown a grant may open many at once, as rosbag does for each topic. A
                 # plain peer has none to show, and is named by the program.
-                has_shown = isinstance(peer, str) or any(each.shown for each in same)
-                if not has_shown and len(same) >= UNSHOWN_CONNECTIONS:
+                has_shown = isinstance(peer, str) or self._shown_by_source[source] > 0
+                if not has_shown and count >= UNSHOWN_CONNECTIONS:
                     raise LimitExceeded(
                         f"{shown(name)} has {UNSHOWN_CONNECTIONS} connections without a grant"
                     )
-            self._accepted[key] = _Accepted(source, peer, abort)
+            self._count(self._accepted.pop(stream, None), -1)
+            self._accepted[stream] = _Accepted(source, peer)
+            self._count(self._accepted[stream], 1)
 
-    def forget(self, key: object) -> None:
+    def forget(self, stream: AcceptedStream) -> None:
         with self._lock:
-            self._accepted.pop(key, None)
+            self._count(self._accepted.pop(stream, None), -1)
+
+    def _count(self, accepted: _Accepted | None, change: int) -> None:
+        if accepted is None:
+            return
+        counts = [self._by_source, self._shown_by_source] if accepted.shown else [self._by_source]
+        for counter in counts:
+            counter[accepted.source] += change
+            if not counter[accepted.source]:  # a source that has gone leaves nothing
+                del counter[accepted.source]
 
     # -- what is authorized
 
@@ -140,8 +158,9 @@ class ConnectionTable(Generic[StreamT]):
         with self._lock:
             self._authorized.add(connection)
             accepted = self._accepted.get(connection.stream)
-            if accepted is not None:
+            if accepted is not None and not accepted.shown:
                 self._accepted[connection.stream] = accepted._replace(shown=True)
+                self._shown_by_source[accepted.source] += 1
         try:
             self.check(connection)
         except BaseException:
@@ -189,23 +208,44 @@ class ConnectionTable(Generic[StreamT]):
         """Cut what must end at `now`, and all of a revoked identity, or of a domain no longer trusted."""
         connections = tuple(self)
         with self._lock:
-            accepted = tuple(self._accepted.values())
+            accepted = tuple(self._accepted.items())
         with self._trust_status_lock:
-            ended = [(each, each.termination_reason(self._trust_status, now)) for each in connections]
-            refused = [(each, self._refusal(each.peer, now)) for each in accepted]
-        # No lock is held from here on: an abort runs callbacks that take it.
-        for connection, reason in ended:
-            if reason is None or self._continues(connection, now):
-                continue
-            if self.discard(connection):
-                connection.stream.abort(reason)
-                name, right = connection.stream.peer.name, connection.decision.name
-                _log.warning("closed the connection with %s (%s): %s", shown(name), shown(right), reason)
-        for each, reason in refused:
+            revoked = self._trust_status.own.entries
+            refused = [(stream, self._refusal(each.peer, now)) for stream, each in accepted]
+        # 1. Whom the list names first: one of a thousand does not wait until the others are judged.
+        named = [each for each in connections if not revoked.isdisjoint(each.entries)]
+        ended = self._disconnect_ended(named, now)
+        for stream, reason in refused:
             if reason is not None:
-                each.abort(reason)
+                stream.disconnect()
+        ended += self._disconnect_ended(set(connections).difference(named), now)
+        # 2. Nothing passes on any of them now; what waits for one is told, and people are.
+        for connection, reason in ended:
+            connection.stream.abort(reason)
+        for stream, reason in refused:
+            if reason is not None:
+                stream.abort(reason)
+        for connection, reason in ended:
+            name, right = connection.stream.peer.name, connection.decision.name
+            _log.warning("closed the connection with %s (%s): %s", shown(name), shown(right), reason)
         if self.renewed is not None:
             self.renewed.retry(self, now)
+
+    def _disconnect_ended(
+        self, connections: Iterable[AuthorizedConnection[StreamT, Any]], now: int
+    ) -> list[tuple[AuthorizedConnection[StreamT, Any], str]]:
+        # Those that must end and have been disconnected, with the reasons. What a peer has presented since is
+        # judged last: it costs signatures, for which no other may stay open.
+        with self._trust_status_lock:
+            judged = [(each, each.termination_reason(self._trust_status, now)) for each in connections]
+        must_end = [(each, reason) for each, reason in judged if reason is not None]
+        must_end.sort(key=lambda each: bool(each[0].presented.by_peer))
+        ended = []
+        for connection, reason in must_end:
+            if not self._continues(connection, now) and self.discard(connection):
+                connection.stream.disconnect()
+                ended.append((connection, reason))
+        return ended
 
     def _continues(self, connection: AuthorizedConnection[StreamT, Any], now: int) -> bool:
         # Whether a connection that must end goes on with what its peer presented meanwhile.
@@ -230,8 +270,10 @@ class ConnectionTable(Generic[StreamT]):
     def close(self, reason: str) -> None:
         """Cut every connection, and admit none any more: nothing would cut it."""
         self._closed = reason  # first: what is added meanwhile is cut by its own check
-        for connection in self:
-            self.discard(connection)
+        ended = [connection for connection in self if self.discard(connection)]
+        for connection in ended:
+            connection.stream.disconnect()
+        for connection in ended:
             connection.stream.abort(reason)
 
 

@@ -293,12 +293,16 @@ class Membership:
     def update_revocations(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take a newer list (empty: the one held) and a timestamp, then close what they end."""
         now, before = clock.now(), self._identity.revocations.data
+        must_cut = True
         try:
             self._access.update_revocations(
                 revocations, timestamp, master, now, self._identity.home.save_revocations
             )
+            # A timestamp alone ends nothing, and neither does a list that came by another connection before.
+            must_cut = self._identity.revocations.data != before
         finally:  # the list takes effect even when the timestamp is refused
-            self._connections.cut_ended(now)
+            if must_cut:
+                self._connections.cut_ended(now)
             if self._identity.revocations.data != before:
                 self.rights_version += 1
 

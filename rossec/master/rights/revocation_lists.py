@@ -109,10 +109,15 @@ class ListInForce:
 
     def revocations_for(self, peer: CertifiedPeer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)
-        return (b"" if self.held_lists.holds(peer, digest(data)) else data), stamp
+        return (b"" if self.held_lists.holds(peer, self._revocations.digest) else data), stamp
+
+    def record_taken(self, peer: CertifiedPeer, data: bytes, now: int) -> None:
+        """Note that a node has taken a list that was sent to it."""
+        is_current = data is self._revocations.data  # nearly always: a thousand nodes take the same octets
+        self.held_lists.record(peer, self._revocations.digest if is_current else digest(data), now)
 
     def trust_status(self, connected: Iterable[CertifiedPeer], now: int) -> ListStatus:
-        return self.held_lists.trust_status(connected, digest(self._revocations.data), now)
+        return self.held_lists.trust_status(connected, self._revocations.digest, now)
 
     @property
     def list_data(self) -> bytes:
@@ -180,7 +185,7 @@ class ListInForce:
         return self._revocations.data != before
 
     def _timestamp(self, now: int) -> Timestamp:
-        return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
+        return Timestamp(self.number, self._revocations.digest, now, MAX_AGE)
 
 
 def pertaining(

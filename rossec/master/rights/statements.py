@@ -17,7 +17,7 @@ from ca.domains import Anchors
 from ca.errors import CAError, HintedError, Revoked
 from ca.keys.signing import Signer
 from ca.names import MASTER, REMOTE, is_alias, shown
-from ca.revocation import lists, trust_status
+from ca.revocation import trust_status
 from grants.errors import GrantError
 from grants.model import Grant, Right
 from grants.token import Verifier, peek
@@ -185,7 +185,7 @@ class TrustState(revocation_lists.ListInForce):
 
     def list_digests(self) -> tuple[bytes, bytes]:
         held = self._revocations
-        own = b"" if held.current is None else lists.digest(held.data)
+        own = b"" if held.current is None else held.digest
         return own, self.domains.digest()
 
     def _list_replaced(self, before: bytes) -> bool:

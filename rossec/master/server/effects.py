@@ -9,7 +9,7 @@ import asyncio
 import logging
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -20,7 +20,6 @@ from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import is_alias, is_in_gateway, shown
-from ca.revocation.lists import digest
 from grants.model import Right
 from grants.request import is_dispensable, needed_rule, own_form, rule_form
 from rossec import files
@@ -33,6 +32,7 @@ from rossec.master.server.updates import MAX_CLOSING, LongPolls, SlaveDialer, Up
 from rossec.master.state.imported_facts import TypeContradicted
 from rossec.master.state.registry import NodeRef, PublishersChanged, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.net.rpc import source_of
 from rossec.peer_limits import printable
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
 
@@ -138,6 +138,33 @@ GRANTS_WAIT: Final = 60.0  # seconds; an answer without grants shows that the ma
 MAX_WAITING: Final = 64  # calls of one key that wait for grants: the nodes of a wildcard identity
 
 
+class ConnectedStreams:
+    """The streams of admitted peers, also by the group that shares a limit: a key, or a foreign domain."""
+
+    # One that comes is counted beside its own group, not beside all. A renewed identity stays in its group.
+    def __init__(self) -> None:
+        self._groups: dict[SecureStream[Identity], Hashable] = {}
+        self._members: dict[Hashable, dict[SecureStream[Identity], None]] = {}
+
+    def __iter__(self) -> Iterator[SecureStream[Identity]]:
+        return iter(tuple(self._groups))
+
+    def add(self, stream: SecureStream[Identity]) -> None:
+        group = self._groups[stream] = source_of(stream.peer).group
+        self._members.setdefault(group, {})[stream] = None
+
+    def discard(self, stream: SecureStream[Identity]) -> None:
+        if stream not in self._groups:
+            return
+        group = self._groups.pop(stream)
+        del self._members[group][stream]
+        if not self._members[group]:
+            del self._members[group]
+
+    def of_group(self, group: Hashable) -> list[SecureStream[Identity]]:
+        return list(self._members.get(group, ()))
+
+
 @dataclass(kw_only=True)
 class MasterState(methods.MasterTables):
     """The state of one master, used in its event loop only."""
@@ -147,7 +174,7 @@ class MasterState(methods.MasterTables):
     on_denial: OnDenial = ignore_denial
     parameter_file: ParameterFile | None = None  # None: parameters do not survive a restart
     deposit_file: DepositFile | None = None  # None: no deposit is accepted
-    streams: set[SecureStream[Identity]] = field(default_factory=set)
+    streams: ConnectedStreams = field(default_factory=ConnectedStreams)
     graph_changes: LongPolls = field(default_factory=LongPolls)
     grant_changes: LongPolls = field(default_factory=partial(LongPolls, 0.0, MAX_WAITING))
     site_polls: LongPolls = field(default_factory=partial(LongPolls, limit=1))  # followers
@@ -288,6 +315,7 @@ class Effects:
         self.updates.post(node, (method, about), self._state.name, subject, *rest)
 
     def _enforce_list(self) -> None:
+        self._cut_revoked()  # first: what is registered is checked against every right, and takes longer
         for _ in islice(self.enforcement(), STEPS_AT_ONCE):
             pass
         self.close_revoked()  # also their pending updates
@@ -303,24 +331,32 @@ class Effects:
             yield
 
     def close_revoked(self) -> None:
+        self._cut_revoked()
         now = self._state.now()
-        for stream in tuple(self._state.streams):
-            try:
-                self._state.trust.caller(stream.peer, now)
-            except HintedError as error:
-                name = shown(stream.peer.name)
-                _audit.warning("%s is disconnected: %s", name, printable(error))
-                self._state.streams.discard(stream)  # its handler ends in a later iteration
-                stream.abort(str(error))
         for node in self.updates.nodes:
             if self._state.trust.caller_of(node, now) is None:
                 self.updates.drop(node)
 
+    def _cut_revoked(self) -> None:
+        # All of them before a line about one: lines of the audit take longer than the cuts. Whom the list
+        # names first: the grants of all others are evaluated anew.
+        now, revoked, entries = self._state.now(), [], self._state.trust.revoked()
+        for stream in sorted(self._state.streams, key=lambda each: entries.isdisjoint(each.peer.keys)):
+            try:
+                self._state.trust.caller(stream.peer, now)
+            except HintedError as error:
+                stream.disconnect()
+                revoked.append((stream, str(error)))
+        for stream, reason in revoked:
+            self._state.streams.discard(stream)  # its handler ends in a later iteration
+            stream.abort(reason)
+        for stream, reason in revoked:
+            _audit.warning("%s is disconnected: %s", shown(stream.peer.name), printable(reason))
+
     def _record_taken(self, node: NodeRef, method: str, params: tuple[object, ...]) -> None:
         match params:
             case (_, bytes(revocations), _) if revocations and method == REVOCATION_UPDATE:
-                taken = digest(revocations)
-                self._state.trust.held_lists.record(node, taken, self._state.now())
+                self._state.trust.record_taken(node, revocations, self._state.now())
 
     def drop_deposits(self) -> None:
         file = self._state.deposit_file

@@ -226,10 +226,15 @@ class SecureStream(BaseStream, Generic[PeerT]):
         if data:
             self.transport.write(data)
 
+    def disconnect(self) -> None:
+        """Let nothing pass any more and call nothing back; `abort` follows in this turn, with the reason."""
+        self.transport.disconnect()
+
     def abort(self, reason: str) -> None:
-        # At once, for example because the peer's grant was revoked; the peer sees a truncation.
-        self._end(ChannelClosed(reason))
+        # At once, for example because the peer's grant was revoked; the peer sees a truncation. The socket
+        # first: whoever is told here may take its time.
         self.transport.abort()
+        self._end(ChannelClosed(reason))
 
     def fail(self, error: ChannelError) -> None:
         self.flush()

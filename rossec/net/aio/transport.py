@@ -57,6 +57,7 @@ class ByteTransport(Protocol):
     def limit_unsent(self) -> None: ...
     def write_eof(self) -> None: ...
     def finish(self) -> None: ...
+    def disconnect(self) -> None: ...
     def abort(self) -> None: ...
 
 
@@ -219,6 +220,11 @@ class Transport:
             with suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_ON_CLOSE)
             self.abort()
+
+    def disconnect(self) -> None:
+        """Let nothing pass any more, before `abort`: of many connections each takes half as long so."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def abort(self) -> None:
         """Close the socket now; what was not sent is dropped."""

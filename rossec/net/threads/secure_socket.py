@@ -102,11 +102,15 @@ class SecureSocket(Generic[PeerT]):
         self._on_released = None  # its lock may never be released
         self._socket.close()
 
-    def abort(self) -> None:
+    def disconnect(self) -> None:
         # The kernel would still return bytes that arrived before.
         self._aborted = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
+
+    def abort(self, _reason: str = "") -> None:
+        if not self._aborted:
+            self.disconnect()
 
     # -- receiving
 

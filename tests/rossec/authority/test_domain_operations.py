@@ -20,7 +20,7 @@ from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
-from tests.rossec.participant.test_connections import table
+from tests.rossec.participant.test_connections import FakeStream, table
 from tests.support.domains import SomeNode, foreign
 from tests.support.keyservice import running_service
 from tests.support.pki import NOW, Site
@@ -263,8 +263,9 @@ def test_a_foreigner_that_is_revoked_here_is_cut(office: Office) -> None:
     anchors = Anchors(office.home.anchor())
     anchors.update((office.home.domain_list() or (b"",))[0])
     own = Revocations(office.home.own_key())
-    connections, reasons = table(TrustStatus(anchors, own)), list[str]()
-    connections.accept(1, anchors.verify([robot.leaf], NOW), reasons.append)
+    connections, stream = table(TrustStatus(anchors, own)), FakeStream()
+    reasons = stream.reasons
+    connections.accept(stream, anchors.verify([robot.leaf], NOW))
     connections.cut_ended(NOW)
     assert reasons == []
     office.service.domains.revoke_foreigner(ROBOT, "lost", to_pem(robot.leaf))

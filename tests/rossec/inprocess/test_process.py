@@ -127,6 +127,9 @@ class Socket:
         self.connection: object = None
         self.aborted: list[str] = []
 
+    def disconnect(self) -> None:
+        """`abort` follows."""
+
     def abort(self, reason: str = "") -> None:
         self.aborted.append(reason)
 
@@ -152,7 +155,7 @@ def confirmed(site: Site, local_identity: LocalIdentity) -> None:
 @pytest.mark.usefixtures("confirmed")
 def test_an_admitted_connection_is_kept_until_it_is_closed(process: SecuredProcess, site: Site) -> None:
     sock: Any = Socket(site.identity("/viewer"))
-    process.connections.accept(sock, sock.peer, sock.abort)
+    process.connections.accept(sock, sock.peer)
     connection = admitted(sock)
     process.add_connection(sock, connection)
     assert sock.connection is connection

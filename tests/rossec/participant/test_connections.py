@@ -1,7 +1,8 @@
 """The table of connections: limits, what ends a connection, and what arrives meanwhile."""
 
+import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from ca.revocation.trust_status import Revocations, TrustStatus
 from rossec.clock import Clock
 from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
-from rossec.participant.connections import ConnectionTable
+from rossec.participant.connections import UNSHOWN_CONNECTIONS, ConnectionTable
 from tests.support.domains import alone
 from tests.support.site import Site
 
@@ -28,13 +29,18 @@ KEY, ABOVE = b"k" * 32, b"i" * 32
 class FakeStream:
     def __init__(self, name: str = "/viewer", ends: int = NOW + 1000) -> None:
         self.reasons: list[str] = []
+        self.events: list[str] = []  # in their order, also those of other streams, if they share it
         self.peer: Any = SimpleNamespace(
             name=name, keys=(KEY, ABOVE), not_after=ends, domain="home", is_foreign=False
         )
         self.on_closed: Callable[[], None] = lambda: None
         self.pad_units: Callable[[int], None] = lambda _: None
 
+    def disconnect(self) -> None:
+        self.events.append(f"{self.peer.name} disconnected")
+
     def abort(self, reason: str) -> None:
+        self.events.append(f"{self.peer.name} aborted")
         self.reasons.append(reason)
 
     def when_closed(self, callback: Callable[[], None]) -> None:
@@ -235,15 +241,41 @@ def test_a_closed_table_admits_nothing(site: Site) -> None:
 def test_the_connections_of_one_peer_are_limited(site: Site) -> None:
     connections = table(trust_status(site))
     eve, other = site.identity("/eve"), site.identity("/other")
+    streams: list[FakeStream] = []
     for peer in (eve, other, "10.0.0.1", "10.0.0.2"):
-        for number in range(2):
-            connections.accept((str(peer), number), peer, lambda _: None)
-    for peer, name in ((eve, "/eve"), ("10.0.0.1", "10.0.0.1")):
+        of_peer = [FakeStream() for _ in range(3)]
+        streams += of_peer
+        for stream in of_peer[:2]:
+            connections.accept(stream, peer)
+        name = peer if isinstance(peer, str) else peer.name
         with pytest.raises(LimitExceeded, match=f"{name} has 2 connections already"):
-            connections.accept("more", peer, lambda _: None)
+            connections.accept(of_peer[2], peer)
         for _ in range(2):
-            connections.forget((str(peer), 0))
-        connections.accept((str(peer), 2), peer, lambda _: None)
+            connections.forget(of_peer[0])
+        connections.accept(of_peer[2], peer)
+    for stream in streams:
+        connections.forget(stream)
+    assert not connections._by_source, "who has gone leaves nothing"
+
+
+def test_a_grant_counts_as_shown_while_its_connection_is_there(site: Site) -> None:
+    """Beside it a peer may have more than the number without a grant."""
+    connections, made = table(trust_status(site), most=1000), make_connection()
+    eve = made.stream.peer = site.identity("/eve")
+    connections.accept(made.stream, eve)
+    for _ in range(2):
+        connections.add(made)
+        connections.discard(made)
+    unshown = [FakeStream() for _ in range(UNSHOWN_CONNECTIONS)]
+    for stream in unshown:
+        connections.accept(stream, eve)
+    connections.forget(made.stream)
+    with pytest.raises(LimitExceeded, match="connections without a grant"):
+        connections.accept(FakeStream(), eve)
+    for stream in unshown:
+        connections.forget(stream)
+    assert not connections._by_source
+    assert not connections._shown_by_source
 
 
 def test_every_connection_of_a_revoked_identity_is_cut(site: Site) -> None:
@@ -251,15 +283,105 @@ def test_every_connection_of_a_revoked_identity_is_cut(site: Site) -> None:
     held = trust_status(site)
     connections = table(held, most=3)
     eve = replace(site.identity("/eve"), issuers=(ABOVE,))
-    reasons: dict[str, list[str]] = {"eve": [], "other": [], "plain": []}
-    connections.accept(1, eve, reasons["eve"].append)
-    connections.accept(2, site.identity("/other"), reasons["other"].append)
-    connections.accept(3, "10.0.0.1", reasons["plain"].append)
+    of_eve, other, plain = FakeStream(), FakeStream(), FakeStream()
+    connections.accept(of_eve, eve)
+    connections.accept(other, site.identity("/other"))
+    connections.accept(plain, "10.0.0.1")
     connections.cut_ended(NOW)
-    assert reasons == {"eve": [], "other": [], "plain": []}
+    assert of_eve.events == []
     held.own.update(site.revoke(ABOVE), NOW)
     connections.cut_ended(NOW)
-    assert reasons == {"eve": ["the peer's identity is revoked"], "other": [], "plain": []}
+    assert of_eve.reasons == ["the peer's identity is revoked"]
+    assert other.events == plain.events == []
+
+
+class Said(logging.Handler):
+    def __init__(self, events: list[str]) -> None:
+        super().__init__()
+        self._events = events
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._events.append("logged")
+
+
+@pytest.fixture
+def events() -> Iterator[list[str]]:
+    """What happens to connections, and what is logged, in one order."""
+    found: list[str] = []
+    handler, log = Said(found), logging.getLogger("rossec.node")
+    log.addHandler(handler)
+    yield found
+    log.removeHandler(handler)
+
+
+def opened(
+    connections: ConnectionTable[FakeStream], events: list[str], name: str, **given: Any
+) -> Connection:
+    made = make_connection(**given)
+    made.stream.events, made.stream.peer.name = events, name
+    connections.add(made)
+    return made
+
+
+@pytest.mark.attack("revocation-at-scale")
+def test_all_are_disconnected_before_a_word_is_said_of_one(site: Site, events: list[str]) -> None:
+    held = trust_status(site)
+    connections = table(held, most=9)
+    for number in range(5):
+        opened(connections, events, f"/viewer{number}")
+    caller = FakeStream("/caller")
+    caller.events, eve = events, replace(site.identity("/eve"), issuers=(ABOVE,))
+    connections.accept(caller, eve)
+    held.own.update(site.revoke(ABOVE), NOW)
+    connections.cut_ended(NOW)
+    assert {each.split()[-1] for each in events[:6]} == {"disconnected"}
+    assert {each.split()[-1] for each in events[6:12]} == {"aborted"}
+    assert events[12:] == ["logged"] * 5
+
+
+@pytest.mark.attack("revocation-at-scale")
+def test_whom_the_list_names_is_cut_before_others_are_judged(site: Site, events: list[str]) -> None:
+    held = trust_status(site)
+    connections = table(held)
+    for number in range(20):
+        opened(connections, events, f"/old{number}", ends=NOW + 5)
+    revoked = opened(connections, events, "/eve")
+    revoked.stream.peer.keys = (KEY, b"e" * 32)
+    revoked.update_end()
+    held.own.update(site.revoke(b"e" * 32), NOW)
+    connections.cut_ended(NOW + 5)
+    assert events[0] == "/eve disconnected"
+    assert len([each for each in events if each.endswith("disconnected")]) == 21
+
+
+@pytest.mark.attack("revocation-at-scale")
+def test_who_presented_something_keeps_no_other_open_while_it_is_judged(
+    site: Site, events: list[str]
+) -> None:
+    held = trust_status(site)
+    connections = table(held)
+    for number in range(6):
+        made = opened(connections, events, f"/viewer{number}")
+        made.presented.by_peer = b"renewed" if number % 2 else b""
+    judged: list[int] = []
+
+    def continues(connection: Connection, _: int) -> bool:
+        if connection.presented.by_peer:
+            judged.append(len(events))
+        return False
+
+    connections.renewed = SimpleNamespace(continues=continues, retry=lambda *_: None)  # type: ignore[assignment]
+    held.own.update(site.revoke(KEY), NOW)
+    connections.cut_ended(NOW)
+    assert judged == [3, 4, 5]
+
+
+def test_a_table_that_is_closed_disconnects_all_first(site: Site, events: list[str]) -> None:
+    connections = table(trust_status(site))
+    for number in range(3):
+        opened(connections, events, f"/viewer{number}")
+    connections.close("a task failed")
+    assert {each.split()[-1] for each in events[:3]} == {"disconnected"}
 
 
 @pytest.mark.parametrize("name", ["/viewer", "/master"])

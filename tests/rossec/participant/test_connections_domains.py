@@ -162,8 +162,9 @@ def test_an_expired_list_of_domains_cuts_nobody(pair: Pair) -> None:
 
 
 def test_a_foreigner_that_only_connected_is_cut_too(pair: Pair) -> None:
-    connections, reasons = table(pair.trust_status), list[str]()
-    connections.accept(1, pair.peer(), reasons.append)
+    connections, stream = table(pair.trust_status), FakeStream(ends=NOW + 1000)
+    reasons = stream.reasons
+    connections.accept(stream, pair.peer())
     connections.cut_ended(NOW)
     assert reasons == []
     pair.confirm_foreign(pair.robot.identity.thumbprint, seq=2)
@@ -190,11 +191,12 @@ async def test_the_master_of_another_domain_has_no_more_connections_than_others(
 def test_a_foreign_domain_has_as_many_connections_as_one_peer(pair: Pair) -> None:
     connections = ConnectionTable[Any](pair.trust_status, most=2)
     first, second = pair.peer(), replace(pair.peer(), thumbprint=b"another key" + bytes(21))
-    connections.accept(1, first, lambda _: None)
-    connections.accept(2, second, lambda _: None)
+    streams = [FakeStream() for _ in range(4)]
+    connections.accept(streams[0], first)
+    connections.accept(streams[1], second)
     with pytest.raises(LimitExceeded, match="has 2 connections already"):
-        connections.accept(3, replace(second, thumbprint=bytes(32)), lambda _: None)
+        connections.accept(streams[2], replace(second, thumbprint=bytes(32)))
     own = replace(first, certified="", name="/own")
-    connections.accept(4, own, lambda _: None)
-    connections.forget(1)
-    connections.accept(3, second, lambda _: None)
+    connections.accept(streams[3], own)
+    connections.forget(streams[0])
+    connections.accept(streams[2], second)

@@ -60,7 +60,7 @@ def test_a_renewed_identity_is_the_one_that_counts(site: Site) -> None:
         retry=lambda *_: None,
     )
     made.stream.peer.thumbprint = KEY
-    connections.accept(made.stream, made.stream.peer, made.stream.abort)
+    connections.accept(made.stream, made.stream.peer)
     connections.add(made)
     made.stream.peer = SimpleNamespace(**{**vars(made.stream.peer), "keys": (KEY, b"n" * 32)})
     told[0](made)

@@ -5,25 +5,29 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from threading import Barrier, RLock, Thread
 from typing import Any
 
 import pytest
 
 from ca.certificates import Identity
 from ca.errors import CAError, RevocationsStale
-from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
+from ca.keys.signing import PublicKey
+from ca.revocation import trust_status
+from ca.revocation.lists import RevocationList, RevocationTree, Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right
 from rossec import clock
-from rossec.errors import AnswerRefused, ConfigurationError, RossecError
+from rossec.errors import AnswerRefused, ChannelClosed, ConfigurationError, RossecError
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.context import SecureContext
 from rossec.participant.access import Access
-from rossec.participant.connections import Dialer
+from rossec.participant.connections import ConnectionTable, Dialer
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.registrations import PublisherGrace
-from rossec.ros.names import MASTER, parse_uri
+from rossec.ros.names import MASTER, REVOCATION_UPDATE, parse_uri
 from rossec.ros.xmlrpc import Fault
+from tests.rossec.participant.test_connections import FakeStream, make_connection
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
 from tests.support.site import DAY, HOUR, Site
 from tests.support.witness import until
@@ -247,6 +251,114 @@ def test_a_list_takes_effect_even_with_an_invalid_timestamp(site: Site) -> None:
         form.membership.update_revocations(b"", b"forged", site.identity(MASTER))
     assert form.calls == ["close", "close"]
     assert form.membership.rights_version == 1, "no new list"
+
+
+def test_a_list_that_comes_by_many_connections_at_once_is_applied_once(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sidecar is told by a connection for each of its programs: verified, saved and enforced once."""
+    form, data = Form(site), site.revoke(bytes(32))
+    verified, saved, real = list[bytes](), list[bytes](), trust_status.open_statement
+
+    def verify(given: bytes, key: PublicKey) -> RevocationList | RevocationTree:
+        verified.append(given)
+        return real(given, key)
+
+    monkeypatch.setattr(trust_status, "open_statement", verify)
+    monkeypatch.setattr(NodeHome, "save_revocations", lambda _, given: saved.append(given))
+    stamp = timestamp(site, data)
+    for _ in range(20):
+        form.membership.take_push(REVOCATION_UPDATE, (data, stamp), site.identity(MASTER))
+    assert verified == saved == [data]
+    assert form.calls == ["close"]
+    assert form.membership.rights_version == 1
+    with pytest.raises(CAError):  # what is not the list in force is verified each time
+        form.membership.take_push(REVOCATION_UPDATE, (data + b"x", stamp), site.identity(MASTER))
+    assert verified == [data, data + b"x"]
+
+
+def test_threads_that_bring_one_list_verify_it_once(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in rospy, where each connection of the master has a thread."""
+    form, data = Form(site), site.revoke(bytes(32))
+    verified, lock, real = list[bytes](), RLock(), trust_status.open_statement
+    together, update = Barrier(8), form.access.update_revocations
+
+    def verify(given: bytes, key: PublicKey) -> RevocationList | RevocationTree:
+        verified.append(given)
+        return real(given, key)
+
+    def locked(*given: Any) -> None:
+        together.wait()
+        with lock:
+            update(*given)
+
+    monkeypatch.setattr(trust_status, "open_statement", verify)
+    monkeypatch.setattr(form.access, "update_revocations", locked)
+    push = (REVOCATION_UPDATE, (data, timestamp(site, data)), site.identity(MASTER))
+    threads = [Thread(target=form.membership.take_push, args=push) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert verified == [data]
+    assert form.calls, "whoever saw the change cuts"
+
+
+@pytest.mark.attack("revocation-at-scale")
+@pytest.mark.parametrize("moment", ["saved", "cut"])
+def test_what_is_accepted_while_a_list_is_applied_is_judged_by_it(
+    site: Site, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    """Just before it takes effect, and while the first of its connections is being cut."""
+    loaded = LoadedIdentity(site.enroll("/robot"), "/robot")
+    form = Form(site, loaded)
+    connections: ConnectionTable[Any] = ConnectionTable(loaded.trust_status)
+    form.membership._connections = connections
+    eve, save = site.identity("/eve"), NodeHome.save_revocations
+    old = site.authority.store.newest_list()
+    assert old is not None
+    form.membership.update_revocations(old, timestamp(site, old), site.identity(MASTER))
+
+    def stream() -> FakeStream:
+        made = FakeStream("/eve", site.now() + HOUR)
+        made.peer = eve
+        return made
+
+    before, caller, late = make_connection(site.now() + HOUR), stream(), make_connection(site.now() + HOUR)
+    before.stream.peer = late.stream.peer = eve
+    before.update_end()
+    late.update_end()
+    connections.add(before)
+    refused: list[str] = []
+
+    def come() -> None:
+        connections.accept(caller, eve)
+        try:
+            form.access.check_peer(eve, site.now())  # as each form does before it reads a header
+            connections.add(late)
+        except (CAError, ChannelClosed) as error:
+            refused.append(str(error))
+
+    if moment == "saved":
+
+        def save_late(home: NodeHome, data: bytes) -> None:
+            come()
+            save(home, data)
+
+        monkeypatch.setattr(NodeHome, "save_revocations", save_late)
+    else:
+        before.stream.disconnect = come  # type: ignore[method-assign]
+    data = site.revoke(eve.thumbprint)
+    form.membership.update_revocations(data, timestamp(site, data), site.identity(MASTER))
+    assert before.stream.reasons
+    assert list(connections) == []
+    if moment == "saved":  # the list before it still counted: the cut finds both
+        assert refused == []
+        assert caller.reasons == ["the peer's identity is revoked"]
+        assert late.stream.reasons
+    else:
+        assert len(refused) == 1
+        assert "is revoked" in refused[0]
 
 
 def watchdog_fails(form: Form, _: pytest.MonkeyPatch) -> None:

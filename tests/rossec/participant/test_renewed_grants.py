@@ -23,7 +23,7 @@ NOW = 1_800_000_000
 class Stream:
     def __init__(self, key: bytes = b"k" * 32) -> None:
         self.peer: Any = SimpleNamespace(
-            name="/viewer", thumbprint=key, domain="home", is_foreign=False, not_after=NOW + 1000
+            name="/viewer", thumbprint=key, keys=(key,), domain="home", is_foreign=False, not_after=NOW + 1000
         )
         self.reasons: list[str] = []
         self.presented: list[bytes] = []
@@ -68,7 +68,7 @@ class Access:
 
 def decision(expires: int = NOW + 10, restrictions: str = "old") -> Any:
     return SimpleNamespace(
-        right=Right.SUBSCRIBE, name="/word", expires=expires, restrictions=restrictions, pad=0
+        right=Right.SUBSCRIBE, name="/word", expires=expires, restrictions=restrictions, pad=0, grant_ids=()
     )
 
 

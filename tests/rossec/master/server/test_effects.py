@@ -2,13 +2,19 @@
 
 import asyncio
 import contextlib
+import logging
 import socket
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import AnswerRefused
+from rossec.master.api.methods import RevocationsChanged
+from rossec.master.rights.caller import Caller
+from rossec.net.aio import SecureStream
 from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 from tests.support.caller import caller
 from tests.support.site import Site
@@ -58,6 +64,70 @@ async def test_an_administrator_stops_the_master(world: World) -> None:
     await admin.ask("shutdown", "maintenance")
     async with asyncio.timeout(30):
         await world.server.stopped()
+
+
+@pytest.mark.attack("revocation-at-scale")
+async def test_the_revoked_are_cut_before_rights_are_checked_and_lines_written(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of all that are connected, first those that the list names."""
+    events: list[str] = []
+    members = [world.site.enroll(f"/n{number}") for number in range(6)]
+    for member in members:
+        await (await world.call_as(member)).ask("getPid", member.name)
+    effects, trust = world.server.effects, world.trust
+    caller, enforcement = trust.caller, effects.enforcement
+
+    def judged(peer: Identity, now: int) -> Caller:
+        events.append(f"judged {peer.name}")
+        return caller(peer, now)
+
+    def enforced() -> Iterator[None]:
+        events.append("registrations")
+        return enforcement()
+
+    class Written(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if "disconnected" in record.getMessage():
+                events.append("written")
+
+    disconnect, audit, handler = SecureStream.disconnect, logging.getLogger("rossec.audit"), Written()
+
+    def cut(stream: SecureStream[Identity]) -> None:
+        events.append(f"cut {stream.peer.name}")
+        disconnect(stream)
+
+    monkeypatch.setattr(trust, "caller", judged)
+    monkeypatch.setattr(effects, "enforcement", enforced)
+    monkeypatch.setattr(SecureStream, "disconnect", cut)
+    audit.addHandler(handler)
+    try:
+        keys = [members[number].identity.thumbprint for number in (3, 5)]
+        trust.update(world.site.revoke(*keys), world.site.now)
+        effects.deliver(RevocationsChanged("/ca"))
+    finally:
+        audit.removeHandler(handler)
+    begin = events.index("registrations")
+    assert {events[0], events[2]} == {"judged /n3", "judged /n5"}
+    assert {events[1], events[3]} == {"cut /n3", "cut /n5"}
+    assert events[begin - 2 : begin] == ["written"] * 2
+    assert sorted(stream.peer.name for stream in world.server.state.streams) == ["/n0", "/n1", "/n2", "/n4"]
+
+
+async def test_streams_are_found_by_the_group_that_shares_a_limit(world: World) -> None:
+    member, other = world.site.enroll("/one"), world.site.enroll("/other")
+    for each in (member, member, other):
+        await (await world.call_as(each)).ask("getPid", each.name)
+    streams = world.server.state.streams
+    assert len(list(streams)) == 3
+    of_member = streams.of_group(member.identity.thumbprint)
+    assert [stream.peer.name for stream in of_member] == ["/one", "/one"]
+    for stream in of_member:
+        streams.discard(stream)
+        streams.discard(stream)
+    assert streams.of_group(member.identity.thumbprint) == []
+    assert [stream.peer.name for stream in streams] == ["/other"]
+    assert list(streams._members) == [other.identity.thumbprint], "who has gone leaves nothing"
 
 
 async def test_refused_grants_are_audited_without_an_error(

@@ -173,6 +173,10 @@ async def test_the_clients_of_a_key_are_limited(nodes: Nodes) -> None:
     updates.drop(updates.nodes[0])
     updates.post(NodeRef("/dead", "http://h:9/", b"one key"), KEY, 9)
     await nodes.until(lambda: nodes.dialled.count("/dead") == 4)
+    for node in updates.nodes:
+        updates.drop(node)
+        updates.drop(node)
+    assert not updates._of_key, "who has gone leaves nothing"
     await updates.close()
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes, ChannelLimits
-from rossec.errors import ChannelClosed, LimitExceeded
+from rossec.errors import ChannelClosed, ConnectionTruncated, LimitExceeded
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import stream as driver_module
 from rossec.net.aio import stream as secure_module
@@ -158,6 +158,35 @@ async def test_an_abort_is_a_truncation_for_the_peer(server: SecureServer[FakeId
     with pytest.raises(ChannelClosed, match="failed"):
         await other.receive()
     await still_works(server)
+
+
+async def test_nothing_passes_a_disconnected_stream_and_nobody_is_told_yet(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    stream = await call(server)
+    await stream.send(b"x")
+    assert await stream.receive() == b"x"  # both sides have ended the handshake
+    (served,) = server._streams
+    told: list[str] = []
+    served.when_closed(lambda: told.append("closed"))
+    served.disconnect()
+    served.abort("revoked")
+    assert told == [], "in this turn"
+    with pytest.raises(ConnectionTruncated):
+        await stream.receive()
+    with pytest.raises(ChannelClosed, match="revoked"):
+        await served.receive()
+    await still_works(server)
+    assert told == ["closed"]
+    served.disconnect()  # of a socket that is closed: nothing
+
+
+async def test_the_socket_is_closed_before_the_end_is_told(server: SecureServer[FakeIdentity]) -> None:
+    stream = await call(server)
+    told: list[bool] = []
+    stream._on_end = lambda ended, _: told.append(ended.transport.closed)
+    stream.abort("revoked")
+    assert told == [True]
 
 
 async def test_when_closed_is_called_at_the_end_of_the_socket() -> None:

@@ -225,7 +225,8 @@ def test_an_aborted_connection_delivers_nothing_more(listener: SecureListener[Fa
         assert right.recv(1) == b"o"
         left.sendall(b"two")
         assert readable(right)
-        right.abort()
+        right.disconnect()
+        right.abort("once is enough")
         assert right.recv(10) == b""
         assert right.receive_unit() == b""
         with pytest.raises(ChannelClosed):
