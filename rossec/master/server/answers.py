@@ -47,9 +47,7 @@ class Admission:
         return min(self._limits.body, self._limits.body_without_right)
 
     def has_room_for(self, peer: Identity) -> bool:
-        source = source_of(peer)
-        peers = [stream.peer for stream in self._state.streams]
-        of_group = [other for other in peers if source_of(other).group == source.group]
+        of_group = self._state.streams.of_group(source_of(peer).group)
         if peer.is_foreign and len(of_group) >= self._limits.connections_per_domain:
             return False
         most = self._limits.connections_without_right

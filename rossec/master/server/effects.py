@@ -9,7 +9,7 @@ import asyncio
 import logging
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -33,6 +33,7 @@ from rossec.master.server.updates import MAX_CLOSING, LongPolls, SlaveDialer, Up
 from rossec.master.state.imported_facts import TypeContradicted
 from rossec.master.state.registry import NodeRef, PublishersChanged, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.net.rpc import source_of
 from rossec.peer_limits import printable
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
 
@@ -138,6 +139,37 @@ GRANTS_WAIT: Final = 60.0  # seconds; an answer without grants shows that the ma
 MAX_WAITING: Final = 64  # calls of one key that wait for grants: the nodes of a wildcard identity
 
 
+class Connections:
+    """The connections that calls come from, and how many each group has: one key, or a foreign domain."""
+
+    # A thousand nodes come back at once after a restart: what is counted at each accept is of one group.
+    def __init__(self) -> None:
+        self._groups: dict[SecureStream[Identity], Hashable] = {}
+        self._by_group: dict[Hashable, set[SecureStream[Identity]]] = {}
+
+    def __iter__(self) -> Iterator[SecureStream[Identity]]:
+        return iter(self._groups)
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def add(self, stream: SecureStream[Identity]) -> None:
+        group = source_of(stream.peer).group
+        self._groups[stream] = group
+        self._by_group.setdefault(group, set()).add(stream)
+
+    def discard(self, stream: SecureStream[Identity]) -> None:
+        group = self._groups.pop(stream, None)
+        if group is not None:
+            of_group = self._by_group[group]
+            of_group.discard(stream)
+            if not of_group:
+                del self._by_group[group]
+
+    def of_group(self, group: Hashable) -> list[Identity]:
+        return [stream.peer for stream in self._by_group.get(group, ())]
+
+
 @dataclass(kw_only=True)
 class MasterState(methods.MasterTables):
     """The state of one master, used in its event loop only."""
@@ -147,7 +179,7 @@ class MasterState(methods.MasterTables):
     on_denial: OnDenial = ignore_denial
     parameter_file: ParameterFile | None = None  # None: parameters do not survive a restart
     deposit_file: DepositFile | None = None  # None: no deposit is accepted
-    streams: set[SecureStream[Identity]] = field(default_factory=set)
+    streams: Connections = field(default_factory=Connections)
     graph_changes: LongPolls = field(default_factory=LongPolls)
     grant_changes: LongPolls = field(default_factory=partial(LongPolls, 0.0, MAX_WAITING))
     site_polls: LongPolls = field(default_factory=partial(LongPolls, limit=1))  # followers

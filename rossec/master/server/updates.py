@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import logging
 import sys
+from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Iterable
 from typing import Final
 
@@ -184,34 +185,41 @@ class Updates:
         self._max_clients = max_clients
         self._deadline = deadline
         self._clients: dict[NodeRef, tuple[NodeClient, TaskSet]] = {}
+        self._of_key: Counter[bytes] = Counter()  # clients
         self._closing = TaskSet()
 
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
         if node not in self._clients:
-            if sum(other.thumbprint == node.thumbprint for other in self._clients) >= self._max_clients:
+            if self._of_key[node.thumbprint] >= self._max_clients:
                 _log.info("%s changes its address too often: no %s is sent", node.name, key[0])
                 return
             client = NodeClient(node, self._dial, on_taken=self._on_taken, deadline=self._deadline)
             tasks = TaskSet()
             tasks.spawn(client.run(), f"updates to {node.name}")
             self._clients[node] = client, tasks
+            self._of_key[node.thumbprint] += 1
         self._clients[node][0].post(key, *params)
 
     def prune(self, registered: Collection[NodeRef]) -> None:
         # Disconnect from nodes that are not registered and have no pending update.
         gone = [node for node, (client, _) in self._clients.items() if node not in registered and client.idle]
         for node in gone:
-            _, tasks = self._clients.pop(node)
-            self._closing.spawn(tasks.close(), f"disconnecting from {node.name}")
+            self._remove(node, f"disconnecting from {node.name}")
 
     @property
     def nodes(self) -> tuple[NodeRef, ...]:
         return tuple(self._clients)
 
     def drop(self, node: NodeRef) -> None:
-        client = self._clients.pop(node, None)
-        if client is not None:
-            self._closing.spawn(client[1].close(), f"dropping {node.name}")
+        if node in self._clients:
+            self._remove(node, f"dropping {node.name}")
+
+    def _remove(self, node: NodeRef, why: str) -> None:
+        _, tasks = self._clients.pop(node)
+        self._of_key[node.thumbprint] -= 1
+        if not self._of_key[node.thumbprint]:
+            del self._of_key[node.thumbprint]
+        self._closing.spawn(tasks.close(), why)
 
     async def close(self) -> None:
         clients, self._clients = self._clients, {}
