@@ -129,7 +129,7 @@ class CallAnswers:
         return self._call(call)
 
     def find_answer(self, peer: Identity, call: bytes) -> bytes | None:
-        """As `rossec.net.rpc.calls.KeptAnswers`: the caller and its rights are those of this moment."""
+        """As `rossec.net.rpc.calls.AnswerKeeper`: the caller and its rights are those of this moment."""
         answer = self._kept.find(peer.thumbprint, call, partial(self._caller_now, peer))
         self._effects.calls += answer is not None
         return answer

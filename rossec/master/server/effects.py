@@ -139,7 +139,7 @@ GRANTS_WAIT: Final = 60.0  # seconds; an answer without grants shows that the ma
 MAX_WAITING: Final = 64  # calls of one key that wait for grants: the nodes of a wildcard identity
 
 
-class Connections:
+class CallerConnections:
     """The connections that calls come from, and how many each group has: one key, or a foreign domain."""
 
     # A thousand nodes come back at once after a restart: what is counted at each accept is of one group.
@@ -179,7 +179,7 @@ class MasterState(methods.MasterTables):
     on_denial: OnDenial = ignore_denial
     parameter_file: ParameterFile | None = None  # None: parameters do not survive a restart
     deposit_file: DepositFile | None = None  # None: no deposit is accepted
-    streams: Connections = field(default_factory=Connections)
+    streams: CallerConnections = field(default_factory=CallerConnections)
     graph_changes: LongPolls = field(default_factory=LongPolls)
     grant_changes: LongPolls = field(default_factory=partial(LongPolls, 0.0, MAX_WAITING))
     site_polls: LongPolls = field(default_factory=partial(LongPolls, limit=1))  # followers

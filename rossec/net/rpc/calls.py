@@ -59,7 +59,7 @@ class ServedStream(Protocol[PeerT_co]):
     async def close(self) -> None: ...
 
 
-class KeptAnswers(Protocol[PeerT_contra]):
+class AnswerKeeper(Protocol[PeerT_contra]):
     """Answers that a server may give again."""
 
     # The answer to a call with these bytes, if it is still the answer.
@@ -85,7 +85,7 @@ class CallLoop(Generic[PeerT]):
     compact: InitVar[bool] = True
     bound: Callable[[], int] | None = None
     urgent: bool = False
-    kept: KeptAnswers[PeerT] | None = None
+    kept: AnswerKeeper[PeerT] | None = None
     _turns: LoopTurns = field(default_factory=of_loop, init=False)
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop, init=False)
     _calls: CallServer = field(init=False)
@@ -314,7 +314,7 @@ async def serve_calls(
     compact: bool = True,
     bound: Callable[[], int] | None = None,
     urgent: bool = False,
-    kept: KeptAnswers[PeerT] | None = None,
+    kept: AnswerKeeper[PeerT] | None = None,
 ) -> None:
     """Answer the calls on `stream` until the peer closes it or breaks the protocol.
 

@@ -236,15 +236,13 @@ def test_an_answer_is_given_again_in_its_turn() -> None:
 
 def test_an_answer_of_xmlrpc_is_given_again_unless_it_is_of_another_form() -> None:
     client, server = CallClient("x", compact=False), CallServer()
-    bodies = []
     answer = b""
     for number in range(3):
         request = server.take(client.request("getParam", ("/p",)))
         assert isinstance(request, bytes)
-        bodies.append(server.call_bytes(request))
+        assert server.call_bytes(request) == request
         answer = server.respond_again(answer) if number else server.respond([1, "", 5])
         assert value_in(client.take(answer)) == [1, "", 5]
-    assert bodies == [request] * 3
     offered = CallServer()
     request = offered.take(CallClient("x").request("getParam", ("/p",)))
     assert isinstance(request, bytes)
