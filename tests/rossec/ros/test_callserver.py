@@ -213,3 +213,46 @@ def test_long_calls_without_a_grant_are_for_statements(compact: bool, method: st
 def test_what_was_longer_than_anybody_may_send_is_refused() -> None:
     with pytest.raises(XmlRpcRefused, match="a call of 5000000 bytes where at most"):
         CallServer().load(Oversized(5_000_000))
+
+
+def test_an_answer_is_given_again_in_its_turn() -> None:
+    client, server = first()
+    for _ in range(30):  # turns begin again
+        request = server.take(client.request("getParam", ("/p",)))
+        assert isinstance(request, bytes)
+        named = server.call_bytes(request)
+        answer = server.respond([1, "", 5])
+        client.take(answer)
+        again = server.take(client.request("getParam", ("/p",)))
+        assert isinstance(again, bytes)
+        assert server.call_bytes(again) == named
+        assert client.take(server.respond_again(answer)) == [1, "", 5]
+    request = client.request("getParam", ("/p",))
+    server.take(request)
+    assert server.call_bytes(request[:3] + bytes([(request[3] + 1) % 24]) + request[4:]) is None
+    assert server.call_bytes(b"") is None
+    assert server.call_bytes(request[:3]) is None
+
+
+def test_an_answer_of_xmlrpc_is_given_again_unless_it_is_of_another_form() -> None:
+    client, server = CallClient("x", compact=False), CallServer()
+    answer = b""
+    for number in range(3):
+        request = server.take(client.request("getParam", ("/p",)))
+        assert isinstance(request, bytes)
+        assert server.call_bytes(request) == request
+        answer = server.respond_again(answer) if number else server.respond([1, "", 5])
+        assert value_in(client.take(answer)) == [1, "", 5]
+    offered = CallServer()
+    request = offered.take(CallClient("x").request("getParam", ("/p",)))
+    assert isinstance(request, bytes)
+    assert offered.call_bytes(request) is None
+    last = CallServer()
+    closing = (
+        CallClient("x", compact=False)
+        .request("one", ())
+        .replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n", 1)
+    )
+    request = last.take(closing)
+    assert isinstance(request, bytes)
+    assert last.call_bytes(request) is None
