@@ -13,7 +13,7 @@ from ca import certificates
 from ca.authority import Authority
 from ca.bounded import Newest
 from ca.certificates import Identity, build_intermediate_request
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import CAError, CertificateExpired, ForeignCertificate, NotAdmitted, RevocationsStale, Revoked
 from ca.keys.signing import thumbprint
 from ca.revocation.lists import MAX_AGE
