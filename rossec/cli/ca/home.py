@@ -1,19 +1,60 @@
-"""`rossec ca backup | restore`: the whole authority in one encrypted file, and back."""
+"""`rossec ca init | backup | restore`: create the authority; all of it in one encrypted file, and back."""
 
+from contextlib import closing
 from pathlib import Path
 
 import click
 
 from ca.domains import MAX_LIST as MAX_DOMAINS
 from ca.keys.passphrases import MAX_BACKUP
+from ca.keys.private_keys import KeyUri
 from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority import restored_lists
-from rossec.authority.home import AuthorityHome, fingerprint
+from rossec.authority.home import AuthorityHome, check_new, enroll_here, fingerprint
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option, working
+from rossec.clock import format_time
+from rossec.home import NodeHome
+from rossec.ros.names import MASTER
 from rossec.terminal import note, printable, record, say
+
+
+@click.command()
+@click.argument("domain")
+@option("--key=URI uri", "make the key in a token: pkcs11:token=T;object=O")
+@flag("--master with_master", "enroll /master here too")
+@passphrase.option
+@json_result(pass_environment)
+def init(
+    environment: Environment, domain: str, uri: str | None, with_master: bool, passphrase_file: Path | None
+) -> None:
+    """Create the authority of the trust domain DOMAIN, for example home.
+
+    With --master this host can run its master at once. With --key its key is made in a PKCS#11
+    token and never leaves it; the passphrase is its PIN.
+    """
+    token = None if uri is None else KeyUri.parse(uri)
+    master = NodeHome.of(environment.home, MASTER)
+    # All that may be refused, before a passphrase is asked for twice and a key is made.
+    AuthorityHome.check_new(environment.home)
+    if with_master:
+        check_new(master)
+    if token is None:
+        secret = passphrase.choose(passphrase_file, environment.variables)
+    else:
+        secret = passphrase.read(passphrase_file, environment.variables)
+    home = AuthorityHome.create(environment.home, domain, secret, now(), token)
+    found = fingerprint(home.anchor())
+    say(f"authority of {domain} in {home.path}", domain=domain, path=str(home.path), fingerprint=found)
+    say(f"fingerprint {found}")
+    if with_master:
+        authority = home.unlock(secret)
+        with closing(authority.store):
+            expires = enroll_here(authority, master, now())
+        record(master=str(master.path), expires=expires)
+        say(f"/master in {master.path}, until {format_time(expires)}; start it with: rossec master")
 
 
 @click.command()
