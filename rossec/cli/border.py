@@ -6,19 +6,10 @@ from typing import Final
 
 import click
 
+from ca import things
 from ca.enrollment import qr
 from ca.errors import ThingRefused
 from ca.svid import check_request
-from ca.things import (
-    MAX_STATEMENT,
-    Credential,
-    ThingKey,
-    ThingSecret,
-    check_thing_name,
-    read_ccs,
-    read_description,
-    secret_text,
-)
 from rossec import clock, files
 from rossec.authority.home import format_fingerprint
 from rossec.cli.shared.context import Environment, now, pass_environment
@@ -60,9 +51,9 @@ def add(
         raise ConfigurationError("a thing with a key has no secret here", "leave --secret-out out")
     home = NodeHome.of(environment.home, router)
     domain = home.identity(now()).domain
-    check_thing_name(name)
+    things.check_thing_name(name)
     if ccs is not None:
-        found = read_ccs(files.read(ccs, _MAX_CREDENTIAL))
+        found = things.read_ccs(files.read(ccs, _MAX_CREDENTIAL))
         say(f"key of {name}: fingerprint {format_fingerprint(found.thumbprint)}")
         option = f"--key {ccs}"
     else:
@@ -75,16 +66,16 @@ def add(
     say(f"next, at the authority: rossec ca thing {name} --border {router} {option} {request}")
 
 
-def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
+def _secret(router_files: ThingFiles, name: str, out: Path | None) -> Path:
     # Make a secret, give it to its owner, and return the file that describes it.
     if out is not None and out.exists():
         raise ConfigurationError(f"{out} exists and is not overwritten", "name a new file")
     if out is not None and not out.parent.is_dir():  # before a secret is made that nobody gets
         raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
-    secret = things.create_secret(name)
-    known = ThingSecret.of(secret, things.free_kid())
-    text = secret_text(known.kid, secret)
-    described = things.describe_secret(name, known)
+    secret = router_files.create_secret(name)
+    known = things.ThingSecret.of(secret, router_files.free_kid())
+    text = things.secret_text(known.kid, secret)
+    described = router_files.describe_secret(name, known)
     if out is not None:
         files.create(out, f"{text}\n".encode())
         say(f"secret of {name}: {out}", secret_file=str(out))
@@ -118,7 +109,7 @@ def install(environment: Environment, statement: Path, bundle: Path | None, rout
             )
         node.install(pem, now())
         say(f"{node.name} is enrolled in {anchor.domain}", identity=node.name, domain=anchor.domain)
-    found = ThingFiles(home).install(files.read(statement, MAX_STATEMENT))
+    found = ThingFiles(home).install(files.read(statement, things.MAX_STATEMENT))
     say(f"{found.name} is served until {format_time(found.expires)}", name=found.name, expires=found.expires)
     if not (NodeHome.of(environment.home, found.name).path / "node.pem").exists():
         note(f"the node {found.name} has no identity here yet: rossec node install FILE")
@@ -162,10 +153,10 @@ def labels(credentials: tuple[Path, ...], out: Path) -> None:
     for path in credentials:
         data = files.read(path, _MAX_CREDENTIAL)
         try:
-            found: Credential = read_description(data)
+            found: things.Credential = things.read_description(data)
         except ThingRefused:
-            found = read_ccs(data)
-        name = (found.subject if isinstance(found, ThingKey) else "") or path.stem
+            found = things.read_ccs(data)
+        name = (found.subject if isinstance(found, things.ThingKey) else "") or path.stem
         made.append(qr.Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data)))
     files.replace(out, qr.sheet(made).encode(), 0o644)
     record(names=[each.name for each in made], file=str(out))
@@ -188,7 +179,7 @@ def list_(environment: Environment, router: str, *, as_json: bool) -> None:
         say_json({"things": rows})
         return
     for each in found:
-        kind = "key" if isinstance(each.credential, ThingKey) else "secret"
+        kind = "key" if isinstance(each.credential, things.ThingKey) else "secret"
         ends = "expired" if each.expires <= now() else f"until {format_time(each.expires)}"
         say(f"{each.name}  {kind} {each.credential.kid.hex()}  {ends}")
     for path, error in loaded.refused.items():

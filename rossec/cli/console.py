@@ -24,6 +24,7 @@ from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.clock import format_time
+from rossec.console import tls as own_tls
 from rossec.console.listening import only_console, read_address, write_address
 from rossec.console.options import (
     HAND_OUT_PORT,
@@ -35,16 +36,7 @@ from rossec.console.options import (
     check_origin,
     read_options,
 )
-from rossec.console.tls import (
-    DIRECTORY,
-    TlsAuthority,
-    TlsSetup,
-    certificates,
-    describe,
-    prepare_tls,
-    renewed_from,
-)
-from rossec.console.tls import as_json as described
+from rossec.console.tls import certificates
 from rossec.errors import ConfigurationError
 from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import printable, say, say_block, say_json, say_picture
@@ -225,7 +217,7 @@ def serve(
     # A passkey is bound to the origin it was made at: another name would end every phone's (WebAuthn).
     if not endpoint.read_only:  # nobody approves there
         check_origin(endpoint, origins_of_phones(home), rename=rename)
-    setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
+    setup = own_tls.prepare_tls(endpoint, home.path / own_tls.DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
         web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
 
@@ -235,7 +227,7 @@ def serve(
             authority = None if setup is None else setup.authority
             address = login_address(endpoint.origin, client.phone_code())
             if as_json:
-                about = {} if authority is None else {"tls": described(authority)}
+                about = {} if authority is None else {"tls": own_tls.as_json(authority)}
                 say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
             else:
                 _say_authority(authority, endpoint)
@@ -243,7 +235,7 @@ def serve(
                 say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
             notify(READY, environment.variables)
 
-        certificates = None if setup is None else renewed_from(setup.source, now)
+        certificates = None if setup is None else own_tls.renewed_from(setup.source, now)
         preview = _preview(environment) if options.preview else None
         with _handing_out(endpoint, setup, environment):
             asyncio.run(supervise(endpoint, web, environment.variables, ready, certificates, preview))
@@ -272,7 +264,7 @@ def _ending(home: AuthorityHome, environment: Environment, endpoint: ConsoleEndp
 
 @contextmanager
 def _handing_out(
-    endpoint: ConsoleEndpoint, setup: TlsSetup | None, environment: Environment
+    endpoint: ConsoleEndpoint, setup: own_tls.TlsSetup | None, environment: Environment
 ) -> Iterator[None]:
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
@@ -284,11 +276,11 @@ def _handing_out(
         yield
 
 
-def _say_authority(authority: TlsAuthority | None, endpoint: ConsoleEndpoint) -> None:
+def _say_authority(authority: own_tls.TlsAuthority | None, endpoint: ConsoleEndpoint) -> None:
     # What a person needs whose phone does not trust it yet.
     if authority is None:
         return
-    for line in describe(authority, now()):
+    for line in own_tls.describe(authority, now()):
         say(line)
     if not endpoint.hand_out:
         say("a phone that does not trust it yet: start with --hand-out")
@@ -316,7 +308,7 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
     else:
         authority = certificates.open_authority(directory)
     install = ["install it on every phone: rossec console --lan --hand-out"] if renew else []
-    options.say_result(as_json, described(authority), [*describe(authority, now()), *install])
+    options.say_result(as_json, own_tls.as_json(authority), [*own_tls.describe(authority, now()), *install])
 
 
 def _name(directory: Path, given: str | None) -> str:

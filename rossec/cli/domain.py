@@ -8,16 +8,7 @@ from typing import Any, Final
 
 import click
 
-from ca.domains import (
-    LEAST_FRESH,
-    MAX_TRUST_BUNDLE,
-    MAX_TRUST_BUNDLE_LIFETIME,
-    MOST_FRESH,
-    ForeignDomain,
-    NameRights,
-    TrustBundle,
-    open_bundle,
-)
+from ca import domains
 from ca.enrollment import qr
 from ca.enrollment.qr import bundle_code, check_code
 from ca.errors import NameRefused
@@ -31,9 +22,7 @@ from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import flag, say_result
 from rossec.cli.shared.service import pass_service, publish_list
-from rossec.clock import format_time
 from rossec.enrollment import code_in_file
 from rossec.errors import ConfigurationError
 from rossec.terminal import note, note_picture, printable, record, say, say_json
@@ -60,7 +49,10 @@ admit = options.option(
 )
 @options.option("--at=URI masters", "where they reach your master", multiple=True)
 @options.duration(
-    "--for lifetime", "how long it can be accepted", days=MAX_TRUST_BUNDLE_LIFETIME // 86400, default="7d"
+    "--for lifetime",
+    "how long it can be accepted",
+    days=domains.MAX_TRUST_BUNDLE_LIFETIME // 86400,
+    default="7d",
 )
 @options.flag("--qr picture", "also show its code as a picture, on stderr")
 @options.json_result(pass_service)
@@ -100,7 +92,7 @@ def lifetime(default: str | None) -> Callable[..., Any]:
 
 def fresh(default: str | None) -> Callable[..., Any]:
     text = "how old its last word on its revocations may be"
-    return options.duration("--fresh", text, days=MOST_FRESH // 86400, default=default)
+    return options.duration("--fresh", text, days=domains.MOST_FRESH // 86400, default=default)
 
 
 def rules(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -147,19 +139,19 @@ def accept(
     """
     # 1. The bundle is the one that was meant, as far as that can be checked here. It is signed by the root in
     # it, so by anybody: only the code or fingerprint of the other screen decides (attack `foreign-bundle`).
-    home, data = service.home, files.read(bundle, MAX_TRUST_BUNDLE)
+    home, data = service.home, files.read(bundle, domains.MAX_TRUST_BUNDLE)
     if image is not None:
         code = code_in_file(image, sys.stdin.buffer)
     if code is not None:
         check_code(code, data)
-    found = open_bundle(data, now())
+    found = domains.open_bundle(data, now())
     shown = format_fingerprint(found.anchor.thumbprint)
     if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
         raise ConfigurationError(
             f"the fingerprint of the bundle is {shown}",
             "it is another authority's: ask yours for its bundle again, and trust no other",
         )
-    domain = ForeignDomain(
+    domain = domains.ForeignDomain(
         found.anchor.domain,
         _label(home, found, label),
         found.root,
@@ -193,7 +185,7 @@ def accept(
     publish_domains(service)
 
 
-def _label(home: AuthorityHome, bundle: TrustBundle, given: str | None) -> str:
+def _label(home: AuthorityHome, bundle: domains.TrustBundle, given: str | None) -> str:
     if given is not None:
         return check_label(given)
     domain = bundle.anchor.domain
@@ -213,21 +205,21 @@ def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_fresh(seconds: int) -> int:
-    if seconds < LEAST_FRESH:
+    if seconds < domains.LEAST_FRESH:
         raise ConfigurationError(
-            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
+            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {domains.LEAST_FRESH}s"
         )
     return seconds
 
 
-def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
+def read_rules(texts: tuple[str, ...]) -> tuple[domains.NameRights, ...] | None:
     """The rules of an export or import; None: no rule, and so no limit."""
     if texts == (EVERYTHING,):
         return None
     return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))
 
 
-def _rule(text: str) -> NameRights:
+def _rule(text: str) -> domains.NameRights:
     pattern, _, listed = text.strip().partition(" ")
     bits = Right(0)
     for label in listed.replace(",", " ").split():
@@ -242,7 +234,9 @@ def _rule(text: str) -> NameRights:
     return check_pattern(pattern), int(bits)
 
 
-def _show(home: AuthorityHome, domain: ForeignDomain, bundle: TrustBundle, *, is_checked: bool) -> None:
+def _show(
+    home: AuthorityHome, domain: domains.ForeignDomain, bundle: domains.TrustBundle, *, is_checked: bool
+) -> None:
     say(printable(f"domain {domain.domain}, here {domain.label}:/... and /remote/{domain.label}"))
     for line in lines(domain):
         say(printable(line))
@@ -258,7 +252,7 @@ def _show(home: AuthorityHome, domain: ForeignDomain, bundle: TrustBundle, *, is
     )
 
 
-def lines(terms: ForeignDomain) -> Iterator[str]:
+def lines(terms: domains.ForeignDomain) -> Iterator[str]:
     yield f"  fingerprint {fingerprint(terms.anchor)}"
     yield f"  admits {_admitted(terms.admitted)}"
     yield f"  until {clock.format_time(terms.until)}"
@@ -286,7 +280,7 @@ def duration(seconds: int) -> str:
     return f"{seconds}s"
 
 
-def as_json(terms: ForeignDomain) -> dict[str, Any]:
+def as_json(terms: domains.ForeignDomain) -> dict[str, Any]:
     return {
         "label": terms.label,
         "domain": terms.domain,
@@ -299,7 +293,7 @@ def as_json(terms: ForeignDomain) -> dict[str, Any]:
     }
 
 
-def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
+def _rules_json(given: tuple[domains.NameRights, ...] | None) -> list[dict[str, Any]] | None:
     if given is None:
         return None
     return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
@@ -389,8 +383,8 @@ def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bo
 
 
 @click.command("list")
-@flag("--all everything", "also those that were removed")
-@flag("--json in_json", "one line of JSON")
+@options.flag("--all everything", "also those that were removed")
+@options.flag("--json in_json", "one line of JSON")
 @pass_environment
 def list_(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the foreign domains that are trusted."""
@@ -401,16 +395,16 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
         states = [(row, _state(store, row)) for row in rows]
     none = "no foreign domains" if everything else "no foreign domain is trusted"
     lines = [
-        printable(f"{row.label}  {row.domain}  until {format_time(row.read().until)}  {state}")
+        printable(f"{row.label}  {row.domain}  until {clock.format_time(row.read().until)}  {state}")
         for row, state in states
     ]
     document = [{**as_json(row.read()), "state": state} for row, state in states]
-    say_result(in_json, document, lines or [none])
+    options.say_result(in_json, document, lines or [none])
 
 
 @click.command()
 @click.argument("label")
-@flag("--json in_json", "one line of JSON")
+@options.flag("--json in_json", "one line of JSON")
 @pass_environment
 def show(environment: Environment, label: str, in_json: bool) -> None:
     """Show how far the domain LABEL is trusted."""
@@ -427,9 +421,9 @@ def show(environment: Environment, label: str, in_json: bool) -> None:
     for line in lines(held):
         say(printable(line))
     say(f"  {grants} grants for its nodes are in force or can be renewed")
-    say(f"  these terms since {format_time(row.at)}")
+    say(f"  these terms since {clock.format_time(row.at)}")
     if ended:
-        say(printable(f"  removed {format_time(ended)}{f': {reason}' * bool(reason)}"))
+        say(printable(f"  removed {clock.format_time(ended)}{f': {reason}' * bool(reason)}"))
     else:
         say("  whether it trusts this domain too, the master knows: rossec federation status")
 

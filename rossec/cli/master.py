@@ -29,15 +29,7 @@ from rossec.host import audit as audits
 from rossec.host.audit import audit_written
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import log_as_json, stop_on_signals, until_stopped
-from rossec.master.operation import (
-    AdminPort,
-    Config,
-    MetricsExporter,
-    denials_limited,
-    on_loop,
-    raise_descriptor_limit,
-)
-from rossec.master.operation import config as configs
+from rossec.master import operation
 from rossec.master.rights.renewals import Renewer
 from rossec.master.server import DenialLog, MasterServer, ignore_denial, master_of
 from rossec.ros import names
@@ -70,12 +62,14 @@ def run(
     `passphrase_file` opens.
     """
     suites = opening.post_quantum(environment.variables, post_quantum)
-    config = replace(Config() if config_file is None else configs.load(config_file), **given)
+    config = replace(
+        operation.Config() if config_file is None else operation.config.load(config_file), **given
+    )
     with ExitStack() as stack:
         if config.log == "json":
             log_as_json()
-        raise_descriptor_limit()
-        stack.enter_context(denials_limited())
+        operation.raise_descriptor_limit()
+        stack.enter_context(operation.denials_limited())
         home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
         own = names.read((), own_variables(environment), default_name=name)  # likewise
@@ -113,9 +107,9 @@ def run(
                 await _start(server)
                 exporter = None
                 if config.metrics is not None:
-                    exporter = MetricsExporter(on_loop(server.status), config.metrics)
+                    exporter = operation.MetricsExporter(operation.on_loop(server.status), config.metrics)
                     parts.push_async_callback(asyncio.to_thread, exporter.close)
-                admin = AdminPort(home.path / ADMIN_SOCKET, _commands(server, mesh))
+                admin = operation.AdminPort(home.path / ADMIN_SOCKET, _commands(server, mesh))
                 parts.push_async_callback(admin.close)
                 if config.admin:
                     await admin.start()

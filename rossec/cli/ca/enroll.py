@@ -30,18 +30,6 @@ from rossec.cli.ca import sign
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.master import own_address
-from rossec.cli.shared.options import (
-    FILE,
-    NEW_FILE,
-    PATH,
-    Batch,
-    duration,
-    flag,
-    json_result,
-    option,
-    say_result,
-    unique,
-)
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -58,7 +46,7 @@ Destination = tuple[str, int]
 
 
 @click.command()
-@flag("--all everything", "also those that were answered")
+@options.flag("--all everything", "also those that were answered")
 @options.as_json
 @pass_environment
 def requests(environment: Environment, everything: bool, as_json: bool) -> None:
@@ -69,7 +57,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     store.requests.collect(at)
     rows = [row for row in store.requests.all(at) if everything or row.state in OPEN]
     lines = (line for row in rows for line in _lines(row)) if rows else ["no open requests"]
-    say_result(as_json, [_summary(row) for row in rows], lines)
+    options.say_result(as_json, [_summary(row) for row in rows], lines)
 
 
 def _lines(row: RequestRow) -> list[str]:
@@ -97,9 +85,9 @@ def _summary(row: RequestRow) -> dict[str, object]:
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@option("--out", "write the identity to this new file", type=PATH)
+@options.option("--out", "write the identity to this new file", type=options.PATH)
 @options.master_uri
-@json_result(pass_service)
+@options.json_result(pass_service)
 def approve(
     service: AuthorityService,
     request_ids: tuple[str, ...],
@@ -113,12 +101,12 @@ def approve(
     It is written to --out, to be copied; or `rossec ca enroll` delivers it without asking again.
     Where one of several is refused the others are approved, and the exit code is 1.
     """
-    ids = unique(request_ids)
+    ids = options.unique(request_ids)
     if out is not None and len(ids) > 1:
         raise click.UsageError("--out is of one REQUEST_ID")
     if len(ids) > 1:
         service.unlock()  # a wrong passphrase is no fault of a request
-    batch = Batch(len(ids), "id")
+    batch = options.Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
             row = service.identities.request(request_id)
@@ -164,14 +152,14 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @options.reason
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
     """Deny the request REQUEST_ID (or its beginning).
 
     Where one of several is refused the others are denied, and the exit code is 1.
     """
-    service, ids = service_of(environment), unique(request_ids)
-    batch = Batch(len(ids), "id")
+    service, ids = service_of(environment), options.unique(request_ids)
+    batch = options.Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
             row = service.identities.request(request_id)
@@ -183,15 +171,17 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
 @click.command()
 @click.argument("code", required=False)
 @options.image
-@option("--csr csr_file", "no code: this request, whose fingerprint you have compared", type=FILE)
-@option("--address given_address", "where the node waits, for a label: host, or host:port")
+@options.option(
+    "--csr csr_file", "no code: this request, whose fingerprint you have compared", type=options.FILE
+)
+@options.option("--address given_address", "where the node waits, for a label: host, or host:port")
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@flag("--later", "only record the request; decide with: rossec ca approve")
+@options.flag("--later", "only record the request; decide with: rossec ca approve")
 @options.master_uri
 @options.yes
-@json_result(pass_service)
+@options.json_result(pass_service)
 def enroll(
     service: AuthorityService,
     code: str | None,
@@ -300,19 +290,19 @@ def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None
 
 @click.command("invite")
 @click.argument("pattern")
-@option(
+@options.option(
     "--uses",
     "so many nodes may join, each with a new name",
     type=click.IntRange(1, MAX_USES),
     default=1,
     show_default=True,
 )
-@duration("--for lasts", "how long it can be used", days=30, default="1h")
-@flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
-@flag("--qr picture", "also show it as a picture, on stderr")
-@option("--ndef tag", "also write it to this new file, for an NFC tag (NDEF)", type=NEW_FILE)
-@option("--address given", "where nodes reach `rossec ca serve`, instead of the address found")
-@json_result(pass_environment, secret=True)
+@options.duration("--for lasts", "how long it can be used", days=30, default="1h")
+@options.flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
+@options.flag("--qr picture", "also show it as a picture, on stderr")
+@options.option("--ndef tag", "also write it to this new file, for an NFC tag (NDEF)", type=options.NEW_FILE)
+@options.option("--address given", "where nodes reach `rossec ca serve`, instead of the address found")
+@options.json_result(pass_environment, secret=True)
 def invite_(
     environment: Environment,
     pattern: str,
