@@ -1,6 +1,5 @@
 """`rossec border`: run a border router until it is stopped; its things."""
 
-import asyncio
 from pathlib import Path
 from typing import Final
 
@@ -19,8 +18,6 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotWritten
 from rossec.home import NodeHome
 from rossec.host.local_sockets import process_lock
-from rossec.host.runner import stop_on_signals, until_stopped
-from rossec.master.operation import raise_descriptor_limit
 from rossec.saved_statements import ThingFiles
 from rossec.terminal import fail, note, printable, record, say, say_json, say_picture, say_secret
 
@@ -252,6 +249,11 @@ def forget(environment: Environment, names: tuple[str, ...], router: str) -> Non
 
 def run(environment: Environment, name: str, host: str, port: int, *, as_json: bool) -> None:
     """Run the border router `name`, which listens for things at `host` and `port`, until a signal ends it."""
+    import asyncio  # noqa: PLC0415 - the other verbs have no loop
+
+    from rossec.host.runner import stop_on_signals, until_stopped  # noqa: PLC0415 - likewise
+    from rossec.master.operation import raise_descriptor_limit  # noqa: PLC0415 - likewise
+
     try:
         from rossec.border import border_router  # noqa: PLC0415 - an extra
         from rossec.border.handshakes import StaticKey  # noqa: PLC0415 - likewise

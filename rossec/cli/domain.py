@@ -23,7 +23,6 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.service import pass_service, publish_list
-from rossec.enrollment import code_in_file
 from rossec.errors import ConfigurationError
 from rossec.terminal import note, note_picture, printable, record, say, say_json
 
@@ -141,6 +140,8 @@ def accept(
     # it, so by anybody: only the code or fingerprint of the other screen decides (attack `foreign-bundle`).
     home, data = service.home, files.read(bundle, domains.MAX_TRUST_BUNDLE)
     if image is not None:
+        from rossec.enrollment import code_in_file  # noqa: PLC0415 - carries the network of an enrollment
+
         code = code_in_file(image, sys.stdin.buffer)
     if code is not None:
         check_code(code, data)

@@ -8,13 +8,14 @@ from typing import Any, Final, NoReturn
 
 import click
 
+from rossec import __version__
 from rossec.cli.shared import context
 from rossec.cli.shared.context import Environment, LazyGroup
 from rossec.cli.shared.options import flag
 from rossec.terminal import printable
 
 _TABLE: Final[dict[str, str | tuple[str, ...]]] = {
-    "audit": "master:audit",
+    "audit": "audit:audit",
     "border": "servers:border",
     "ca": "nouns:ca",
     "completion": "completion.shells:completion",
@@ -45,7 +46,7 @@ _TABLE: Final[dict[str, str | tuple[str, ...]]] = {
 
 
 @click.group(cls=LazyGroup, table=_TABLE, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="rossec", prog_name="rossec", message="%(prog)s %(version)s")
+@click.version_option(__version__, prog_name="rossec", message="%(prog)s %(version)s")
 @flag("--verbose -v", "log what happens")
 def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""

@@ -10,12 +10,12 @@ import json
 import re
 import sys
 from collections.abc import Iterable, Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 import click
 
+from rossec import __version__
 from rossec.cli.completion.values import Outline, outline_of
 from rossec.cli.main import rossec
 from rossec.cli.shared.context import LazyCommand
@@ -218,7 +218,7 @@ def outlines(group: click.Group) -> Iterator[tuple[str, Outline]]:
 
 
 def main() -> None:
-    written, _ = make(rossec, version("rossec"), Path(sys.argv[1]))
+    written, _ = make(rossec, __version__, Path(sys.argv[1]))
     say(f"{len(written)} pages in {written[0].parent}")
 
 

@@ -56,7 +56,7 @@ MAX_METADATA_FILES: Final = 1024
 @click.command("launch")
 @click.argument("source", metavar="IN.launch", type=FILE)
 @option("--out=OUT", "the new file; one that exists is not overwritten", type=NEW_FILE, required=True)
-@rules.option
+@options.rules
 @json_result()
 def launch(source: Path, out: Path, rules_path: Path | None) -> None:
     """Write the launch file IN.launch again, with names that rules give in place of metadata.
@@ -190,7 +190,7 @@ class _Reader:
 @click.argument("meta", type=FILE)
 @option("--topic=TOPIC", "the name of this topic of the node")
 @option("--service=SERVICE", "the name of this service of the node")
-@rules.option
+@options.rules
 @flag("--thesis-defaults", "unknown-group instead of unknown_group, as in the thesis; ROS has no such names")
 @options.as_json
 def show_name(
@@ -346,7 +346,7 @@ class Coverage:
 
 @click.command()
 @option("--as=NAME name", "identity to use", default="/namespace", show_default=True)
-@rules.option
+@options.rules
 @flag("--json as_json", "say that it runs as a line of JSON")
 @pass_environment
 def serve(environment: Environment, name: str, rules_path: Path | None, *, as_json: bool) -> None:

@@ -17,9 +17,9 @@ _CA: Final = {
     "init": ("ca.home:init", "free"),
     "intermediate": "nouns:intermediate",
     "invitations": "nouns:invitations",
-    "invite": ("ca.enroll:invite_", "free"),
+    "invite": ("ca.invitations:command", "free"),
     "list": "ca.identities:list_",
-    "lock": "ca.serve:lock",
+    "lock": "ca.home:lock",
     "log": "nouns:log",
     "publish": "ca.identities:publish",
     "refresh": "ca.identities:refresh",
@@ -30,17 +30,17 @@ _CA: Final = {
     "serve": "ca.serve:serve",
     "show": ("ca.identities:show", "recorded node"),
     "sign": "ca.sign:sign",
-    "status": "ca.serve:status",
+    "status": "ca.home:status",
     "thing": ("ca.sign:thing", "thing"),
     "things": "ca.sign:things",
-    "unlock": "ca.serve:unlock",
+    "unlock": "ca.home:unlock",
 }
 _INTERMEDIATE: Final = {
     "install": "ca.sign:install_intermediate",
     "request": ("ca.sign:request_intermediate", "free"),
     "sign": "ca.sign:sign_intermediate",
 }
-_INVITATIONS: Final = {"revoke": ("ca.identities:revoke_invitations", "invitation")}
+_INVITATIONS: Final = {"revoke": ("ca.invitations:revoke", "invitation")}
 _LOG: Final = {"head": "ca.identities:head", "prove": "ca.identities:prove", "verify": "ca.identities:verify"}
 _NODE: Final = {
     "code": ("node.identity:code", "own node"),
@@ -158,9 +158,9 @@ def invitations(context: click.Context, everything: bool, in_json: bool) -> None
     """Show the invitations that can be used, and who joined by them."""
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.ca.identities import show_invitations  # noqa: PLC0415 - imported when it runs
+    from rossec.cli.ca.invitations import show  # noqa: PLC0415 - imported when it runs
 
-    show_invitations(context.ensure_object(Environment), everything=everything, in_json=in_json)
+    show(context.ensure_object(Environment), everything=everything, in_json=in_json)
 
 
 @click.group(cls=LazyGroup, table=_NODE)

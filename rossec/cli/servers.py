@@ -17,12 +17,12 @@ _MASTER: Final = {
     "stop": "status:stop_master",
 }
 _CONSOLE: Final = {
-    "approvals": "console:approvals",
-    "phone": "console:phone",
+    "approvals": "phones:approvals",
+    "phone": "phones:phone",
     "phones": "servers:phones",
     "tls": "console:tls",
 }
-_PHONES: Final = {"remove": ("console:remove", "phone")}
+_PHONES: Final = {"remove": ("phones:remove", "phone")}
 _BORDER: Final = {
     "add": ("border:add", "free"),
     "credential": "border:credential",
@@ -157,7 +157,7 @@ def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     """Show the phones that can approve."""
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.console import show  # noqa: PLC0415 - imported when it runs
+    from rossec.cli.phones import show  # noqa: PLC0415 - imported when it runs
 
     show(context.ensure_object(Environment), everything=everything, as_json=as_json)
 

@@ -1,35 +1,27 @@
-"""`rossec ca enroll | requests | approve | deny | invite`: requests for an identity, and codes to join by."""
+"""`rossec ca enroll | requests | approve | deny`: requests for an identity, answered."""
 
-import asyncio
 import secrets
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
 
 import click
 
 from ca.certificates import from_pem
-from ca.enrollment import NONCE_SIZE, invitation, qr
+from ca.enrollment import NONCE_SIZE, qr
 from ca.enrollment.messages import Delivery, write
 from ca.enrollment.sides import AuthorityEnrollment, group_digits
 from ca.errors import HintedError
-from ca.names import check_pattern, spiffe_id
+from ca.names import spiffe_id
 from ca.store.values import OPEN, RequestRow, RequestState
 from ca.svid import MAX_REQUEST
-from grants.policy.model import Policy, Subject
-from grants.policy.wanted import projected_for_names, projected_grants
 from rossec import clock, files
 from rossec.authority.home import AuthorityHome, format_fingerprint
-from rossec.authority.invitations import MAX_USES, invite
-from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.authority.policyfile import PolicyFile, place
 from rossec.authority.service import AuthorityService
 from rossec.cli.ca import sign
+from rossec.cli.ca.invitations import policy_lines
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
-from rossec.cli.shared.master import own_address
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -37,10 +29,9 @@ from rossec.cli.shared.service import (
     remind_to_publish,
     service_of,
 )
-from rossec.enrollment import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
-from rossec.terminal import note, note_picture, printable, record, say, say_secret
+from rossec.terminal import printable, record, say
 
 Destination = tuple[str, int]
 
@@ -143,6 +134,10 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
         say(f"  the request was {row.state} {clock.format_time(row.changed)}")
     else:
         say(f"  {row.name} is new here")
+    from grants.policy.model import Subject  # noqa: PLC0415 - to list requests needs no policy
+    from grants.policy.wanted import projected_grants  # noqa: PLC0415 - likewise
+    from rossec.authority.policyfile import place  # noqa: PLC0415 - likewise
+
     subject = Subject(row.name, row.thumbprint, wildcard)
     path = place(service.rossec_home, None)
     for line in policy_lines(path, lambda policy: projected_grants(policy, subject), "it", "this name"):
@@ -205,6 +200,10 @@ def enroll(
     Exit codes: 0 enrolled, 1 refused, 2 wrong usage, 3 signed here but the node did not say that it
     is enrolled, or the master was unreachable; 130 interrupted.
     """
+    import asyncio  # noqa: PLC0415 - this verb alone meets a node
+
+    from rossec.enrollment import deliver, fetch  # noqa: PLC0415 - likewise
+
     # 1. The code, and where its node waits.
     domain = service.home.domain
     found = _read_code(code, image, csr_file)
@@ -258,6 +257,8 @@ def enroll(
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
+    from rossec.enrollment import code_in_file  # noqa: PLC0415 - see above
+
     if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
         try:
             typed: str = click.prompt("the text below the code", err=True)
@@ -286,85 +287,3 @@ def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None
     raise ConfigurationError(
         "a label does not say where its node is", "add --address HOST, as the node shows it"
     )
-
-
-@click.command("invite")
-@click.argument("pattern")
-@options.option(
-    "--uses",
-    "so many nodes may join, each with a new name",
-    type=click.IntRange(1, MAX_USES),
-    default=1,
-    show_default=True,
-)
-@options.duration("--for lasts", "how long it can be used", days=30, default="1h")
-@options.flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
-@options.flag("--qr picture", "also show it as a picture, on stderr")
-@options.option("--ndef tag", "also write it to this new file, for an NFC tag (NDEF)", type=options.NEW_FILE)
-@options.option("--address given", "where nodes reach `rossec ca serve`, instead of the address found")
-@options.json_result(pass_environment, secret=True)
-def invite_(
-    environment: Environment,
-    pattern: str,
-    uses: int,
-    lasts: int,
-    anonymous: bool,
-    picture: bool,
-    tag: Path | None,
-    given: str | None,
-) -> None:
-    """Let nodes whose names PATTERN covers join by a code, without a person for each of them.
-
-    Prints one line, the code, to be given to `rossec node join` on the robot: whoever has it can
-    join, so show it to nobody else. Shows what the policy gives the names first, on stderr. A node
-    whose name is known with another key waits for a person: rossec ca requests.
-    """
-    home, at = AuthorityHome.at(environment.home), now()
-    # `host:port` of the join port; where only a host is given, the service knows its port.
-    port: object = None
-    if (client := KeyServiceClient.find(home.path)) is not None:
-        with closing(client):
-            port = client.status().get("join_port")
-    port = port if isinstance(port, int) and port else addresses.JOIN_PORT
-    where = addresses.join(*addresses.split(given or own_address(environment), port))
-    if tag is not None and tag.exists():
-        raise ConfigurationError(f"{tag} exists and is not overwritten", "name a new file")
-    names = check_pattern(pattern)
-    path = place(environment.home, None)
-    # What the names would get is said before the code exists: after that only its end is left.
-    policy = policy_lines(path, lambda policy: projected_for_names(policy, names), "them", "these names")
-    code = invite(home, pattern, uses, at + lasts, where, at, wildcard=anonymous)
-    _describe(code, uses, policy)
-    if home.is_intermediate:
-        note("  each waits for a person: this record does not know the root's names: ca requests")
-    if tag is not None:
-        files.create(tag, invitation.write(code))
-        note(f"written for an NFC tag: {tag}")
-    if picture:
-        note_picture(qr.terminal(code.text()))
-    record(id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires, code=code.text())
-    # Whoever has it can join: it is the last line, and with --json in the document alone.
-    say_secret(code.text())
-
-
-def _describe(code: invitation.InvitationCode, uses: int, policy: list[str]) -> None:
-    nodes = f"{uses} nodes" if uses > 1 else "one node"
-    anonymous = ", for anonymous nodes too" if code.wildcard else ""
-    until = clock.format_time(code.expires)
-    note(f"invitation {code.id.hex()[:8]}: {nodes} named {code.pattern}{anonymous}, until {until}")
-    for line in policy:
-        note(f"  {printable(line)}")
-    note(f"nodes join at {code.address}: rossec node join, and paste the line there")
-
-
-def policy_lines(
-    path: Path, projected: Callable[[Policy], Sequence[str]], whom: str, names: str
-) -> list[str]:
-    """What the policy gives to whoever is about to get a name, for the person who decides."""
-    if not path.exists():
-        return [f"there is no policy: {'it is' if whom == 'it' else 'they are'} granted nothing"]
-    policy = PolicyFile.read(path, own=True).policy
-    lines = projected(policy)
-    if not lines:
-        return [f"the policy has no rule for {whom}: {policy.defaults.decision}"]
-    return [f"the policy for {names}:", *(f"  {line}" for line in lines)]

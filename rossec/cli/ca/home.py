@@ -1,24 +1,35 @@
-"""`rossec ca init | backup | restore`: create the authority; all of it in one encrypted file, and back."""
+"""`rossec ca init | backup | restore`, `ca unlock | lock | status`: the authority's directory, its key."""
 
+import time
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from ca.domains import MAX_LIST as MAX_DOMAINS
+from ca.encoding import Value
 from ca.keys.passphrases import MAX_BACKUP
 from ca.keys.private_keys import KeyUri
-from rossec import files
-from rossec.authority import backup as backups
+from rossec import clock, files
 from rossec.authority import restored_lists
 from rossec.authority.home import AuthorityHome, check_new, enroll_here, fingerprint
+from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.authority.keyservice.messages import MAX_UNLOCKED
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option, working
+from rossec.cli.shared.context import Environment, UnlockTime, now, pass_environment
+from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option, say_result, working
 from rossec.clock import format_time
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 from rossec.terminal import note, printable, record, say
+
+if TYPE_CHECKING:
+    from rossec.authority import backup as backups
+
+_START = "start it with: rossec ca serve"
+_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
 
 
 @click.command()
@@ -66,6 +77,8 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
 
     A key in a token is not in the backup; the PIN encrypts this file.
     """
+    from rossec.authority import backup as backups  # noqa: PLC0415 - it knows every file, the policy's too
+
     home = AuthorityHome.at(environment.home)
     secret = passphrase.read(passphrase_file, environment.variables)
     with working("encrypting the backup"):
@@ -130,6 +143,8 @@ def restore(
     revoked after the backup is not in it: every node has a newer list, revocations.cose beside its
     key, the master the newest. It is wanted first (--list), or the word that there is none.
     """
+    from rossec.authority import backup as backups  # noqa: PLC0415 - see above
+
     if newest is not None and without_list:
         raise click.UsageError("--list and --without-list exclude each other")
     data = files.read(file, MAX_BACKUP)
@@ -179,7 +194,7 @@ def restore(
     note("a new revocation list was signed; deliver it with: rossec ca publish")
 
 
-def say_what_differs(found: backups.Restored) -> None:
+def say_what_differs(found: "backups.Restored") -> None:
     for name in found.left_out:
         note(f"left out, not a file that a backup has: {printable(name)}")
     if found.policy:
@@ -188,3 +203,71 @@ def say_what_differs(found: backups.Restored) -> None:
         note("no phone can approve any more: register phones again: rossec console phone")
     if found.ended_domains:
         note(f"{found.ended_domains} domains are trusted no more: see rossec domain list --all")
+
+
+def describe_remaining(remaining: int | None) -> str:
+    """Whether the key is held, and for how long (`HeldKey.remaining`), for people."""
+    if remaining is None:
+        return "locked; unlock it with: rossec ca unlock --for 15m"
+    return f"unlocked for {clock.format_duration(remaining)}" if remaining else "unlocked while it runs"
+
+
+@click.command()
+@option(
+    "--for seconds",
+    "how long the key is held; 0: while the service runs",
+    type=UnlockTime(MAX_UNLOCKED),
+    default="15m",
+    show_default=True,
+)
+@passphrase.option
+@json_result(pass_environment)
+def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
+    """Give the running service the passphrase: it holds the key from now on, for a time.
+
+    Waits some seconds for a service that is starting.
+    """
+    with closing(_running(environment, wait=_STARTING)) as client:
+        secret = passphrase.read(passphrase_file, environment.variables)
+        found = client.unlock(secret, seconds)
+        say(_describe(found), **found)
+
+
+def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
+    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
+    until = seconds() + wait
+    while (client := KeyServiceClient.find(directory)) is None:
+        if seconds() >= until:
+            raise ConfigurationError("the authority's service does not run", _START)
+        time.sleep(0.1)
+    return client
+
+
+def _describe(found: dict[str, Value]) -> str:
+    remaining = found.get("remaining")
+    state = describe_remaining(remaining if isinstance(remaining, int) else None)
+    return f"authority of {found.get('domain')!s}: {state}"
+
+
+@click.command()
+@json_result(pass_environment)
+def lock(environment: Environment) -> None:
+    """Let the running service drop the key at once."""
+    with closing(_running(environment)) as client:
+        found = client.lock()
+        say(_describe(found), **found)
+
+
+@click.command()
+@options.as_json
+@pass_environment
+def status(environment: Environment, as_json: bool) -> None:
+    """Show whether the authority's service runs, and whether it holds the key."""
+    client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
+    if client is None:
+        text = f"no service runs, each command asks for the passphrase; {_START}"
+        say_result(as_json, {"running": False}, [text])
+        return
+    with closing(client):
+        found = client.status()
+    say_result(as_json, {"running": True, **found}, [_describe(found)])

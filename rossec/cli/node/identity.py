@@ -8,7 +8,7 @@ from ca.certificates import TrustAnchor
 from ca.enrollment import qr
 from rossec import clock, files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared import options, rules
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -26,7 +26,7 @@ _MAX_BUNDLE = 64 * 1024
     "take the name that rules give for the metadata there, instead of NAME",
     type=options.FILE,
 )
-@rules.option
+@options.rules
 @options.json_result(pass_environment)
 def request(
     environment: Environment,
@@ -60,6 +60,8 @@ def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | No
     if bool(given) is (meta_path is not None):
         raise click.UsageError("give NAME, or --meta FILE")
     if meta_path is not None:
+        from rossec.cli.shared import rules  # noqa: PLC0415 - it starts a process; few give metadata
+
         found = rules.read_metadata(meta_path)
         return (rules.name_of_node(rules.read_rules(rules_path), found),)
     if rules_path is not None:
