@@ -69,6 +69,7 @@ def _secret(router_files: ThingFiles, name: str, out: Path | None) -> Path:
         raise ConfigurationError(f"{out} exists and is not overwritten", "name a new file")
     if out is not None and not out.parent.is_dir():  # before a secret is made that nobody gets
         raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
+    # Made here, where it is used: the authority and its record know a thumbprint (attack `thing-secret`).
     secret = router_files.create_secret(name)
     known = things.ThingSecret.of(secret, router_files.free_kid())
     text = things.secret_text(known.kid, secret)

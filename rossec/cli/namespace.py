@@ -267,6 +267,7 @@ def check(
     name for two things, names that change with the order of the metadata, and with --policy or
     --grants names that no rule or grant covers.
     """
+    # A name that rules give is no right: it is judged as if the node had made it up (attack `rules-rights`).
     found = sorted(directory.glob(METADATA_SUFFIX))
     if not found:
         raise ConfigurationError(

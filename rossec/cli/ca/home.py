@@ -145,6 +145,8 @@ def restore(
     """
     from rossec.authority import backup as backups  # noqa: PLC0415 - see above
 
+    # Without a newer list what was revoked since would be valid again: not by leaving an option out
+    # (attack `old-backup`).
     if newest is not None and without_list:
         raise click.UsageError("--list and --without-list exclude each other")
     data = files.read(file, MAX_BACKUP)
