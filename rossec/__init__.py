@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from rossec.inprocess.secure import secure as secure
 
 
+# `rossec --version` reads it here: importlib.metadata takes as long to import as all of click.
+__version__ = "0.1.0"
+
+
 def _check_python() -> None:
     if _sys.version_info < (3, 11):  # noqa: UP036 - it is imported where pip never was asked
         version = ".".join(map(str, _sys.version_info[:2]))

@@ -12,11 +12,12 @@ from hashlib import sha256
 from hmac import compare_digest
 from html import escape
 from io import BytesIO
-from typing import Final
-
-import segno
+from typing import TYPE_CHECKING, Final
 
 from ca.errors import BundleRefused, CodeRefused
+
+if TYPE_CHECKING:
+    import segno
 
 # `ROSSEC:` and base45 (RFC 9285) of fixed binary stay in the QR alphanumeric mode. It is never a URL, which a
 # phone's camera app would open.
@@ -115,6 +116,8 @@ def parse(text: str) -> Code:
 
 
 def terminal(text: str) -> str:
+    import segno  # noqa: PLC0415 - see `_printed`
+
     code = segno.make_qr(text, error="l", boost_error=False)
     rows = [list(row) for row in code.matrix_iter(border=_BORDER)]
     rows.append([0] * len(rows[0]))  # a QR code has an odd number of rows
@@ -166,7 +169,10 @@ def decode_base45(text: str) -> bytes:
     return bytes(out)
 
 
-def _printed(text: str) -> segno.QRCode:
+def _printed(text: str) -> "segno.QRCode":
+    # It takes a tenth of the start of a command, and few that know of codes draw one.
+    import segno  # noqa: PLC0415
+
     return segno.make_qr(text, error="m", boost_error=False)
 
 

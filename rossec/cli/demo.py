@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from ca.enrollment import qr
-from rossec.cli.console.serve import check_libraries
+from rossec.cli.console import check_libraries
 from rossec.cli.shared import context
 from rossec.cli.shared.options import PATH, option
 from rossec.console.options import PORT, ConsoleOptions, listen, read_options

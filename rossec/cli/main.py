@@ -8,15 +8,15 @@ from typing import Any, Final, NoReturn
 
 import click
 
+from rossec import __version__
 from rossec.cli.shared import context
 from rossec.cli.shared.context import Environment, LazyGroup
 from rossec.cli.shared.options import flag
 from rossec.terminal import printable
 
-SATELLITES: Final = ("border", "gateway", "namespace", "relay", "router")
-"""Folders that register themselves: the group of that name in each has the table of its verbs."""
 _TABLE: Final[dict[str, str | tuple[str, ...]]] = {
-    "audit": "master.audit:audit",
+    "audit": "audit:audit",
+    "border": "servers:border",
     "ca": "nouns:ca",
     "completion": "completion.shells:completion",
     "console": "servers:console",
@@ -26,24 +26,27 @@ _TABLE: Final[dict[str, str | tuple[str, ...]]] = {
     "domain": "nouns:domain",
     "explain": ("policy.explain:explain", "node", "right", "topic or service"),
     "federation": "nouns:federation",
+    "gateway": "servers:gateway",
     "grant": "nouns:grant",
     "graph": "ros.graph:graph",
     "master": "servers:master",
+    "namespace": "nouns:namespace",
     "node": "nouns:node",
     "param": "nouns:param",
     "policy": "nouns:policy",
     "privacy": "nouns:privacy",
+    "relay": "servers:relay",
+    "router": "servers:router",
     "run": ("node.sidecar:run", "command"),
     "service": "nouns:service",
     "sidecar": "node.sidecar:sidecar",
     "simulate": "policy.simulate:simulate",
     "topic": "nouns:topic",
-    **{name: f"{name}:{name}" for name in SATELLITES},
 }
 
 
 @click.group(cls=LazyGroup, table=_TABLE, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="rossec", prog_name="rossec", message="%(prog)s %(version)s")
+@click.version_option(__version__, prog_name="rossec", message="%(prog)s %(version)s")
 @flag("--verbose -v", "log what happens")
 def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""

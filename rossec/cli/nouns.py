@@ -10,37 +10,37 @@ from rossec.cli.shared.context import Environment, LazyGroup
 
 _CA: Final = {
     "approve": ("ca.enroll:approve", "request"),
-    "backup": "ca.backup:backup",
+    "backup": "ca.home:backup",
     "deny": ("ca.enroll:deny", "request"),
     "enroll": ("ca.enroll:enroll", "free"),
     "import": "ca.sign:import_",
-    "init": ("ca.init:init", "free"),
+    "init": ("ca.home:init", "free"),
     "intermediate": "nouns:intermediate",
     "invitations": "nouns:invitations",
-    "invite": ("ca.invite:command", "free"),
+    "invite": ("ca.invitations:command", "free"),
     "list": "ca.identities:list_",
-    "lock": "ca.serve:lock",
+    "lock": "ca.home:lock",
     "log": "nouns:log",
     "publish": "ca.identities:publish",
     "refresh": "ca.identities:refresh",
     "renew": ("ca.identities:renew", "recorded node"),
     "requests": "ca.enroll:requests",
-    "restore": "ca.backup:restore",
+    "restore": "ca.home:restore",
     "revoke": ("ca.identities:revoke", "recorded node or thing"),
     "serve": "ca.serve:serve",
     "show": ("ca.identities:show", "recorded node"),
     "sign": "ca.sign:sign",
-    "status": "ca.serve:status",
+    "status": "ca.home:status",
     "thing": ("ca.sign:thing", "thing"),
     "things": "ca.sign:things",
-    "unlock": "ca.serve:unlock",
+    "unlock": "ca.home:unlock",
 }
 _INTERMEDIATE: Final = {
     "install": "ca.sign:install_intermediate",
     "request": ("ca.sign:request_intermediate", "free"),
     "sign": "ca.sign:sign_intermediate",
 }
-_INVITATIONS: Final = {"revoke": ("ca.identities:revoke_invitations", "invitation")}
+_INVITATIONS: Final = {"revoke": ("ca.invitations:revoke", "invitation")}
 _LOG: Final = {"head": "ca.identities:head", "prove": "ca.identities:prove", "verify": "ca.identities:verify"}
 _NODE: Final = {
     "code": ("node.identity:code", "own node"),
@@ -81,18 +81,18 @@ _POLICY: Final = {
 }
 _PRIVACY: Final = {"opt-out": ("policy.apply:opt_out", "node")}
 _DOMAIN: Final = {
-    "accept": "domain.trust:accept",
-    "bundle": "domain.trust:bundle",
-    "limit": ("domain.trust:limit", "domain"),
-    "list": "domain.listing:list_",
-    "remove": ("domain.trust:remove", "domain"),
-    "show": ("domain.listing:show", "domain"),
+    "accept": "domain:accept",
+    "bundle": "domain:bundle",
+    "limit": ("domain:limit", "domain"),
+    "list": "domain:list_",
+    "remove": ("domain:remove", "domain"),
+    "show": ("domain:show", "domain"),
 }
 _FEDERATION: Final = {
-    "add": ("relay.sites:add_site", "free"),
-    "list": "relay.sites:list_sites",
-    "param": ("relay.sites:param", "domain", "free"),
-    "remove": ("relay.sites:remove_site", "domain"),
+    "add": ("sites:add_site", "free"),
+    "list": "sites:list_sites",
+    "param": ("sites:param", "domain", "free"),
+    "remove": ("sites:remove_site", "domain"),
     "status": "status:federation_status",
 }
 _PARAM: Final = {
@@ -116,6 +116,14 @@ _TOPIC: Final = {
     "list": ("ros.graph:list_topics", "free"),
     "pub": ("ros.topic:pub", "topic", "message type", "free"),
     "type": ("ros.graph:type_of_topic", "topic"),
+}
+_NAMESPACE: Final = {
+    "check": "namespace:check",
+    "launch": "namespace:launch",
+    "messages": "namespace:messages",
+    "name": "namespace:show_name",
+    "rules": "namespace:show_rules",
+    "serve": "namespace:serve",
 }
 
 
@@ -150,9 +158,9 @@ def invitations(context: click.Context, everything: bool, in_json: bool) -> None
     """Show the invitations that can be used, and who joined by them."""
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.ca.identities import show_invitations  # noqa: PLC0415 - imported when it runs
+    from rossec.cli.ca.invitations import show  # noqa: PLC0415 - imported when it runs
 
-    show_invitations(context.ensure_object(Environment), everything=everything, in_json=in_json)
+    show(context.ensure_object(Environment), everything=everything, in_json=in_json)
 
 
 @click.group(cls=LazyGroup, table=_NODE)
@@ -222,3 +230,11 @@ def service() -> None:
 @click.group(cls=LazyGroup, table=_TOPIC)
 def topic() -> None:
     """Publish and listen."""
+
+
+@click.group(cls=LazyGroup, table=_NAMESPACE)
+def namespace() -> None:
+    """Give names by rules: to a node, its topics and services, from its metadata.
+
+    Names are proposals: nothing is renamed, and no right comes of one.
+    """

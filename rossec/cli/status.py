@@ -7,9 +7,9 @@ from typing import Any, Final
 import click
 
 from ca.names import display_name
-from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.sites import RELAY_SOCKET, relay_files
 from rossec.environment import missing_node, own_gateway, own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome

@@ -1,6 +1,5 @@
 """`rossec ca enroll | requests | approve | deny`: requests for an identity, answered."""
 
-import asyncio
 import secrets
 import sys
 from hashlib import sha256
@@ -16,17 +15,13 @@ from ca.errors import HintedError
 from ca.names import spiffe_id
 from ca.store.values import OPEN, RequestRow, RequestState
 from ca.svid import MAX_REQUEST
-from grants.policy.model import Subject
-from grants.policy.wanted import projected_grants
 from rossec import clock, files
 from rossec.authority.home import AuthorityHome, format_fingerprint
-from rossec.authority.policyfile import place
 from rossec.authority.service import AuthorityService
 from rossec.cli.ca import sign
-from rossec.cli.ca.invite import policy_lines
+from rossec.cli.ca.invitations import policy_lines
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
-from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -34,7 +29,6 @@ from rossec.cli.shared.service import (
     remind_to_publish,
     service_of,
 )
-from rossec.enrollment import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.terminal import printable, record, say
@@ -43,7 +37,7 @@ Destination = tuple[str, int]
 
 
 @click.command()
-@flag("--all everything", "also those that were answered")
+@options.flag("--all everything", "also those that were answered")
 @options.as_json
 @pass_environment
 def requests(environment: Environment, everything: bool, as_json: bool) -> None:
@@ -54,7 +48,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     store.requests.collect(at)
     rows = [row for row in store.requests.all(at) if everything or row.state in OPEN]
     lines = (line for row in rows for line in _lines(row)) if rows else ["no open requests"]
-    say_result(as_json, [_summary(row) for row in rows], lines)
+    options.say_result(as_json, [_summary(row) for row in rows], lines)
 
 
 def _lines(row: RequestRow) -> list[str]:
@@ -82,9 +76,9 @@ def _summary(row: RequestRow) -> dict[str, object]:
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@option("--out", "write the identity to this new file", type=PATH)
+@options.option("--out", "write the identity to this new file", type=options.PATH)
 @options.master_uri
-@json_result(pass_service)
+@options.json_result(pass_service)
 def approve(
     service: AuthorityService,
     request_ids: tuple[str, ...],
@@ -98,12 +92,12 @@ def approve(
     It is written to --out, to be copied; or `rossec ca enroll` delivers it without asking again.
     Where one of several is refused the others are approved, and the exit code is 1.
     """
-    ids = unique(request_ids)
+    ids = options.unique(request_ids)
     if out is not None and len(ids) > 1:
         raise click.UsageError("--out is of one REQUEST_ID")
     if len(ids) > 1:
         service.unlock()  # a wrong passphrase is no fault of a request
-    batch = Batch(len(ids), "id")
+    batch = options.Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
             row = service.identities.request(request_id)
@@ -140,6 +134,10 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
         say(f"  the request was {row.state} {clock.format_time(row.changed)}")
     else:
         say(f"  {row.name} is new here")
+    from grants.policy.model import Subject  # noqa: PLC0415 - to list requests needs no policy
+    from grants.policy.wanted import projected_grants  # noqa: PLC0415 - likewise
+    from rossec.authority.policyfile import place  # noqa: PLC0415 - likewise
+
     subject = Subject(row.name, row.thumbprint, wildcard)
     path = place(service.rossec_home, None)
     for line in policy_lines(path, lambda policy: projected_grants(policy, subject), "it", "this name"):
@@ -149,14 +147,14 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @options.reason
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
     """Deny the request REQUEST_ID (or its beginning).
 
     Where one of several is refused the others are denied, and the exit code is 1.
     """
-    service, ids = service_of(environment), unique(request_ids)
-    batch = Batch(len(ids), "id")
+    service, ids = service_of(environment), options.unique(request_ids)
+    batch = options.Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
             row = service.identities.request(request_id)
@@ -168,15 +166,17 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
 @click.command()
 @click.argument("code", required=False)
 @options.image
-@option("--csr csr_file", "no code: this request, whose fingerprint you have compared", type=FILE)
-@option("--address given_address", "where the node waits, for a label: host, or host:port")
+@options.option(
+    "--csr csr_file", "no code: this request, whose fingerprint you have compared", type=options.FILE
+)
+@options.option("--address given_address", "where the node waits, for a label: host, or host:port")
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@flag("--later", "only record the request; decide with: rossec ca approve")
+@options.flag("--later", "only record the request; decide with: rossec ca approve")
 @options.master_uri
 @options.yes
-@json_result(pass_service)
+@options.json_result(pass_service)
 def enroll(
     service: AuthorityService,
     code: str | None,
@@ -200,6 +200,10 @@ def enroll(
     Exit codes: 0 enrolled, 1 refused, 2 wrong usage, 3 signed here but the node did not say that it
     is enrolled, or the master was unreachable; 130 interrupted.
     """
+    import asyncio  # noqa: PLC0415 - this verb alone meets a node
+
+    from rossec.enrollment import deliver, fetch  # noqa: PLC0415 - likewise
+
     # 1. The code, and where its node waits.
     domain = service.home.domain
     found = _read_code(code, image, csr_file)
@@ -253,6 +257,8 @@ def enroll(
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
+    from rossec.enrollment import code_in_file  # noqa: PLC0415 - see above
+
     if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
         try:
             typed: str = click.prompt("the text below the code", err=True)

@@ -1,7 +1,6 @@
-"""`rossec ca list | show | renew | revoke | refresh | publish`, `ca invitations` and `ca log`: the record."""
+"""`rossec ca list | show | renew | revoke | refresh | publish` and `ca log`: the record."""
 
 import base64
-import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from rossec import files, terminal
 from rossec.authority import restored_lists
 from rossec.authority import signing as things
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
-from rossec.authority.invitations import InvitationStatus, end, find, invitations, revoke_nodes
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
@@ -288,51 +286,6 @@ def _revoke_node(
 
 
 @click.command()
-@click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
-@flag("--and-nodes", "also revoke every node that joined by it")
-@option("--reason", "why, for the record", default="the invitation was revoked")
-@options.master_uri
-@json_result(pass_service)
-def revoke_invitations(
-    service: AuthorityService, invitation_ids: tuple[str, ...], and_nodes: bool, reason: str
-) -> None:
-    """End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.
-
-    Requests that wait for a person because of it are denied. With --and-nodes every key of the
-    names that joined by it is revoked, and the master is notified at once. The first needs no key,
-    so it is done also where the second cannot be.
-    """
-    ids, ended = options.unique(invitation_ids), list[InvitationStatus]()
-    batch = Batch(len(ids), "id")
-    for invitation_id in ids:
-        with batch.item(invitation_id):
-            with contextlib.closing(service.home.store()) as store:
-                found = find(store, invitation_id)
-                denied = end(store, found, reason, now())
-            say(f"invitation {found.short_id} is ended", invitation=found.row.id.hex(), denied=denied)
-            if denied:
-                say(f"denied {denied} request{'s' * (denied != 1)} that waited")
-            ended.append(found)
-            if not and_nodes and (uses := ended[-1].uses):
-                note(f"{len(uses)} joined by it and stay enrolled; to revoke them: --and-nodes")
-    if and_nodes and ended:
-        revoked, lists = list[str](), list[object]()
-        for found in ended:
-            listed, names = revoke_nodes(service.unlock(), found, reason, now())
-            revoked += names
-            lists += [listed] * (listed is not None)
-        record(revoked_nodes=revoked)
-        for name in revoked:
-            say(f"revoked {name}")
-        if lists:
-            publish_list(service)
-        else:
-            say("no node that joined by it is left to revoke")
-            remind_to_publish(service)
-    batch.finish()
-
-
-@click.command()
 @option("--head heads", "a signed head kept elsewhere (rossec ca log head)", multiple=True, type=FILE)
 @flag("--json in_json", "one line of JSON")
 @pass_environment
@@ -402,41 +355,6 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
         proof = tree.consistency(old.size, newest.size)
     head_text = base64.b64encode(signed).decode()
     say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
-
-
-def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
-    at = now()
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        found = [each for each in invitations(store) if everything or each.state(at) == "open"]
-    none = "no invitations" if everything else "no open invitations"
-    lines = (line for each in found for line in _lines(each, at)) if found else [none]
-    say_result(in_json, [_summary(each, at) for each in found], lines)
-
-
-def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
-    row = each.row
-    return {
-        "id": row.id.hex(),
-        "state": each.state(at).partition(":")[0],
-        "reason": each.ended or "",
-        "pattern": row.pattern,
-        "uses": row.uses,
-        "anonymous": row.wildcard,
-        "made": row.at,
-        "until": row.expires,
-        "joined": [{"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses],
-    }
-
-
-def _lines(each: InvitationStatus, at: int) -> list[str]:
-    row = each.row
-    anonymous = "  for anonymous nodes too" if row.wildcard else ""
-    joined = f"{len(each.uses)} of {row.uses} joined"
-    until = f"until {format_time(row.expires)}{anonymous}"
-    return [
-        "  ".join((each.short_id, printable(each.state(at)), row.pattern, joined, until)),
-        *(f"  {use.name}  {format_time(use.at)}" for use in each.uses),
-    ]
 
 
 def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:

@@ -1,19 +1,16 @@
-"""`rossec ca serve | unlock | lock | status`: the authority as a service, which holds the key."""
+"""`rossec ca serve`: the authority as a service, which holds the key."""
 
 import asyncio
 import logging
-import time
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
 import click
 
-from ca.encoding import Value
-from rossec import clock
 from rossec.authority.console import serving
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
-from rossec.authority.keyservice.client import KeyServiceClient, service_lock
+from rossec.authority.keyservice.client import service_lock
 from rossec.authority.keyservice.front_end import ANY
 from rossec.authority.keyservice.messages import MAX_UNLOCKED, SOCKET
 from rossec.authority.keyservice.network import NetworkWork
@@ -24,10 +21,11 @@ from rossec.authority.keyservice.process import (
     audit_to,
     operations_of,
 )
+from rossec.cli.ca.home import describe_remaining
 from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at, own_address
-from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result
+from rossec.cli.shared.options import FILE, PATH, flag, option
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.host.audit import AUDIT, audit_written
@@ -38,8 +36,6 @@ from rossec.ros import names
 from rossec.terminal import say, say_json
 
 OPERATOR = "the operator who started it"
-_START = "start it with: rossec ca serve"
-_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
 
 
 @click.command()
@@ -194,71 +190,3 @@ async def _serve(
         await console.close()
         await process.close()
         audit.info("the service ended")
-
-
-def describe_remaining(remaining: int | None) -> str:
-    """Whether the key is held, and for how long (`HeldKey.remaining`), for people."""
-    if remaining is None:
-        return "locked; unlock it with: rossec ca unlock --for 15m"
-    return f"unlocked for {clock.format_duration(remaining)}" if remaining else "unlocked while it runs"
-
-
-@click.command()
-@option(
-    "--for seconds",
-    "how long the key is held; 0: while the service runs",
-    type=UnlockTime(MAX_UNLOCKED),
-    default="15m",
-    show_default=True,
-)
-@passphrase.option
-@json_result(pass_environment)
-def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
-    """Give the running service the passphrase: it holds the key from now on, for a time.
-
-    Waits some seconds for a service that is starting.
-    """
-    with closing(_running(environment, wait=_STARTING)) as client:
-        secret = passphrase.read(passphrase_file, environment.variables)
-        found = client.unlock(secret, seconds)
-        say(_describe(found), **found)
-
-
-def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
-    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
-    until = seconds() + wait
-    while (client := KeyServiceClient.find(directory)) is None:
-        if seconds() >= until:
-            raise ConfigurationError("the authority's service does not run", _START)
-        time.sleep(0.1)
-    return client
-
-
-def _describe(found: dict[str, Value]) -> str:
-    remaining = found.get("remaining")
-    state = describe_remaining(remaining if isinstance(remaining, int) else None)
-    return f"authority of {found.get('domain')!s}: {state}"
-
-
-@click.command()
-@json_result(pass_environment)
-def lock(environment: Environment) -> None:
-    """Let the running service drop the key at once."""
-    with closing(_running(environment)) as client:
-        found = client.lock()
-        say(_describe(found), **found)
-
-
-@click.command()
-@options.as_json
-@pass_environment
-def status(environment: Environment, as_json: bool) -> None:
-    """Show whether the authority's service runs, and whether it holds the key."""
-    client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
-    if client is None:
-        text = f"no service runs, each command asks for the passphrase; {_START}"
-        say_result(as_json, {"running": False}, [text])
-        return
-    with closing(client):
-        found = client.status()
-    say_result(as_json, {"running": True, **found}, [_describe(found)])

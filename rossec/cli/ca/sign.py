@@ -168,6 +168,7 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
     domain = service.home.domain
     data = files.read(request, _MAX_REQUEST)
     key = check_intermediate_request(data, domain)
+    # A policy in its certificate, which its own host obeys: a verifier cannot tell a renewal (decision 0009).
     powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
     say(f"an intermediate of {domain} that may {powers} until {format_time(now() + lifetime)}")
     say(f"  fingerprint {format_fingerprint(thumbprint(key))}")

@@ -54,9 +54,9 @@ OPTIONS: Final = {
     "--topic": "topic",
 }
 _OTHERWISE: Final = {
-    ("domain.trust:accept", "--as"): FREE,
-    ("relay.sites:add_site", "--as"): FREE,
-    ("relay.sites:add_site", "--domain"): "domain",
+    ("domain:accept", "--as"): FREE,
+    ("sites:add_site", "--as"): FREE,
+    ("sites:add_site", "--domain"): "domain",
     ("grant.sign:narrow", "--as"): "own node",
     ("ros.calls:call", "--type"): "service type",
 }

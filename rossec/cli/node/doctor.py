@@ -18,16 +18,9 @@ from typing import Final
 
 import click
 
+from ca import errors as refusals
 from ca import svid
 from ca.certificates import Identity, TrustAnchor, signed_at
-from ca.errors import (
-    CertificateExpired,
-    CertificateNotYetValid,
-    HintedError,
-    RevocationRefused,
-    RevocationsStale,
-    Revoked,
-)
 from ca.names import display_name, is_master_name, is_relay_name, shown
 from ca.revocation.lists import RevocationList, Timestamp, TreeEntries, open_timestamp
 from ca.revocation.trust_status import SKEW, Revocations, open_statement
@@ -40,7 +33,6 @@ from rossec.channel.opening import post_quantum
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import REVOCATIONS, anew, find_master, is_of_revoked, open_held, revoked_text
-from rossec.clock import format_duration, format_time
 from rossec.environment import OWN_MASTER, missing_nodes, nodes_in, own_master
 from rossec.errors import ChannelError, ConfigurationError
 from rossec.home import NodeHome
@@ -56,7 +48,7 @@ from rossec.saved_statements import DomainFiles
 from rossec.terminal import printable as terminal_printable
 from rossec.terminal import say, say_json, state
 
-Outcome = str | HintedError
+Outcome = str | refusals.HintedError
 """A line that is ok, or a fault that does not end the check."""
 LIMIT: Final = 64  # nodes whose address is looked up
 _MAX_FILE = 64 * 1024
@@ -126,7 +118,7 @@ def _examine(
             for found in check(environment, home):
                 hint = "" if isinstance(found, str) else found.hint
                 yield DoctorFinding(home.name, name, isinstance(found, str), str(found), hint)
-        except HintedError as error:
+        except refusals.HintedError as error:
             yield DoctorFinding(home.name, name, False, str(error), error.hint)
             if isinstance(error, IdentityRevoked):
                 return  # nobody talks to it: whatever else would be said has this cause
@@ -140,13 +132,14 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
         raise IdentityRevoked(
             f"the {which}key of {identity.name} is revoked according to {known[revoked[0]]}", anew(home)
         )
-    yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
+    yield f"{identity.name} of {identity.domain} until {clock.format_time(identity.not_after)}"
     yield from _clock(home, identity)
     life = identity.not_after - signed_at(identity.not_before, identity.not_after)
     # of an identity's life: by then it should have been renewed
     if identity.not_after - now() < life / 3:
+        left = clock.format_duration(identity.not_after - now())
         raise ConfigurationError(
-            f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not renewed",
+            f"the identity ends soon, in {left}, and was not renewed",
             f"it is while {home.name} runs, if where the authority is `rossec ca serve` runs and is"
             f" unlocked (rossec ca status); or there: rossec ca renew {home.name}, then here:"
             " rossec node install FILE",
@@ -159,7 +152,7 @@ def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
     for place in (node, NodeHome.of(home, MASTER)):
         for entry in _listed(place, anchor):
             found.setdefault(entry, f"the list in {place.path}")
-    with suppress(HintedError):
+    with suppress(refusals.HintedError):
         authority = AuthorityHome.at(home)
         # An intermediate below the node's authority records only what it signed itself.
         if authority.anchor().thumbprint == anchor.thumbprint and not authority.is_intermediate:
@@ -173,7 +166,7 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
     data = place.load_revocations()
     if data is None:
         return
-    with suppress(RevocationRefused):  # a list of another authority does not concern this node
+    with suppress(refusals.RevocationRefused):  # a list of another authority does not concern this node
         statement = open_statement(data, anchor.public_key)
         if isinstance(statement, RevocationList):
             yield from statement.entries
@@ -191,12 +184,12 @@ def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
     signed = signed_at(identity.not_before, identity.not_after)
     # What the authority has signed is a lower bound of the time, also without a master (decision 0044).
     if (data := home.load_revocations()) is not None:
-        with suppress(RevocationRefused):  # a list of another authority says nothing
+        with suppress(refusals.RevocationRefused):  # a list of another authority says nothing
             signed = max(signed, open_statement(data, home.anchor().public_key).issued)
     if now() < signed - SKEW:
         yield ConfigurationError(
-            f"the clock of this host is {format_duration(signed - now())} or more behind:"
-            f" the authority has signed what is here at {format_time(signed)}",
+            f"the clock of this host is {clock.format_duration(signed - now())} or more behind:"
+            f" the authority has signed what is here at {clock.format_time(signed)}",
             "set the clock of this host, or synchronize it (NTP)",
         )
 
@@ -213,7 +206,7 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     for grant in usable:
         label = _label(home, grant)
         for permission in grant.links[-1].permissions:
-            until = format_time(grant.expires)
+            until = clock.format_time(grant.expires)
             pattern = display_name(label, permission.pattern)
             yield f"may {permission.rights.label} {pattern} until {until}"
     if not held and is_relay_name(home.name):
@@ -234,9 +227,9 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
 
 def _open_grants(
     environment: Environment, home: NodeHome
-) -> tuple[list[Grant], dict[type[HintedError], list[HintedError]]]:
+) -> tuple[list[Grant], dict[type[refusals.HintedError], list[refusals.HintedError]]]:
     revoked = known_revocations(environment.home, home)
-    refused = defaultdict[type[HintedError], list[HintedError]](list)
+    refused = defaultdict[type[refusals.HintedError], list[refusals.HintedError]](list)
     usable = []
     for data in home.grants():
         try:
@@ -247,7 +240,7 @@ def _open_grants(
                         f"grant {grant.short_id} is revoked according to {revoked[entry]}",
                         f"ask for another; it does no harm in {grant.subject}'s directory",
                     )
-        except HintedError as error:
+        except refusals.HintedError as error:
             refused[type(error)].append(error)
         else:
             usable.append(grant)
@@ -265,13 +258,13 @@ def _label(home: NodeHome, grant: Grant) -> str:
 def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
     anchor = node.anchor()
     held, newest = DomainFiles(node, anchor).anchors().current, None
-    with suppress(HintedError):
+    with suppress(refusals.HintedError):
         authority = AuthorityHome.at(home)
         if authority.anchor().thumbprint == anchor.thumbprint and (listed := authority.domain_list()):
             newest = listed[1]
     for each in () if held is None else held.domains:
         ended = "" if now < each.until else ", which is over"
-        until = format_time(each.until)
+        until = clock.format_time(each.until)
         yield f"admits nodes of {each.domain}, here {each.label}, until {until}{ended}"
     if held is not None and now >= held.expires:
         raise ConfigurationError(
@@ -304,7 +297,7 @@ def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
             usable, _ = _open_grants(environment, home)
             async for outcome in check_master(environment, home, usable):
                 found.append(outcome)
-        except HintedError as error:
+        except refusals.HintedError as error:
             found.append(error)
         return found
 
@@ -327,7 +320,7 @@ async def check_master(
         begun = clock.time()
         data, stamp = _opened(home, stream.peer, await call(REVOCATIONS))
         yield (said := describe_offset(stamp.issued, begun, clock.time()))
-        if isinstance(said, HintedError):
+        if isinstance(said, refusals.HintedError):
             return  # nothing that has a time can be checked
         if judge.late is not None:
             raise judge.late
@@ -362,12 +355,12 @@ class _Judge:
     def __init__(self, home: NodeHome) -> None:
         self._anchors = DomainFiles(home, home.anchor()).anchors()
         self._own = svid.validity(svid.parse(home.credentials().chain[0]))
-        self.late: HintedError | None = None
+        self.late: refusals.HintedError | None = None
 
     def verify(self, chain: tuple[bytes, ...], at: int) -> Identity:
         try:
             return self._anchors.verify(chain, at)
-        except (CertificateExpired, CertificateNotYetValid) as error:
+        except (refusals.CertificateExpired, refusals.CertificateNotYetValid) as error:
             self.late = error.bare()
             begin, end = svid.validity(svid.parse(chain[0]))
             moment = min(max(at, begin, self._own[0]), end, self._own[1])
@@ -438,7 +431,7 @@ async def _revoked_of(revocations: Revocations, entries: Sequence[bytes], call: 
     # As many as the master answers in one call.
     for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
         for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
-            with suppress(Revoked, RevocationsStale):
+            with suppress(refusals.Revoked, refusals.RevocationsStale):
                 revocations.check(entry, now())
         await prove(call, revocations)
     return [entry for entry in entries if _is_revoked(revocations, entry)]
@@ -447,7 +440,7 @@ async def _revoked_of(revocations: Revocations, entries: Sequence[bytes], call: 
 def _is_revoked(revocations: Revocations, entry: bytes) -> bool:
     try:
         revocations.check(entry, now())
-    except Revoked:
+    except refusals.Revoked:
         return True
     return False
 

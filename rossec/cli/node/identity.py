@@ -8,9 +8,8 @@ from ca.certificates import TrustAnchor
 from ca.enrollment import qr
 from rossec import clock, files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared import options, rules
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import record, say, say_picture
@@ -21,14 +20,14 @@ _MAX_BUNDLE = 64 * 1024
 @click.command()
 @click.argument("names", metavar="[NAME]...", nargs=-1)
 @options.domain
-@flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_17")
-@option(
+@options.flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_17")
+@options.option(
     "--meta=FILE meta_path",
     "take the name that rules give for the metadata there, instead of NAME",
-    type=FILE,
+    type=options.FILE,
 )
-@rules.option
-@json_result(pass_environment)
+@options.rules
+@options.json_result(pass_environment)
 def request(
     environment: Environment,
     names: tuple[str, ...],
@@ -42,7 +41,7 @@ def request(
     Where one of several is refused the others are made, and the exit code is 1.
     """
     chosen, made = _names(names, meta_path, rules_path), list[Path]()
-    batch = Batch(len(chosen), "name")
+    batch = options.Batch(len(chosen), "name")
     for name in chosen:
         with batch.item(name):
             home = NodeHome.of(environment.home, name)
@@ -52,8 +51,8 @@ def request(
             say(f"fingerprint {format_fingerprint(asked.thumbprint)}")
             made.append(home.request_path)
     if made:
-        listed, option = " ".join(map(str, made)), " --anonymous" if anonymous else ""
-        say(f"next, at the authority: rossec ca sign {listed}{option}")
+        listed, more = " ".join(map(str, made)), " --anonymous" if anonymous else ""
+        say(f"next, at the authority: rossec ca sign {listed}{more}")
     batch.finish()
 
 
@@ -61,19 +60,21 @@ def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | No
     if bool(given) is (meta_path is not None):
         raise click.UsageError("give NAME, or --meta FILE")
     if meta_path is not None:
+        from rossec.cli.shared import rules  # noqa: PLC0415 - it starts a process; few give metadata
+
         found = rules.read_metadata(meta_path)
         return (rules.name_of_node(rules.read_rules(rules_path), found),)
     if rules_path is not None:
         raise click.UsageError("--rules are for --meta FILE")
-    return unique(given)
+    return options.unique(given)
 
 
 @click.command()
 @click.argument("name")
-@flag("--text", "only the text in the code, to paste")
-@option("--svg", "write the code to this SVG file", type=PATH)
-@option("--png", "write the code to this PNG file", type=PATH)
-@json_result(pass_environment)
+@options.flag("--text", "only the text in the code, to paste")
+@options.option("--svg", "write the code to this SVG file", type=options.PATH)
+@options.option("--png", "write the code to this PNG file", type=options.PATH)
+@options.json_result(pass_environment)
 def code(environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
@@ -88,16 +89,16 @@ def code(environment: Environment, name: str, text: bool, svg: Path | None, png:
 
 
 @click.command()
-@click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=FILE)
+@click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=options.FILE)
 @options.yes
-@json_result(pass_environment)
+@options.json_result(pass_environment)
 def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> None:
     """Install the signed identity in BUNDLE, and trust the authority that signed it.
 
     Asks once for each authority. Where one of several is refused the others are installed, and the
     exit code is 1.
     """
-    batch = Batch(len(bundles))
+    batch = options.Batch(len(bundles))
     read: dict[bytes, tuple[TrustAnchor, list[Path]]] = {}
     for bundle in bundles:
         with batch.item(bundle, last=False):
@@ -125,7 +126,7 @@ def _read(bundle: Path) -> bytes:
 
 @click.command()
 @click.argument("name")
-@flag("--json as_json", "a line of JSON")
+@options.flag("--json as_json", "a line of JSON")
 @pass_environment
 def show(environment: Environment, name: str, as_json: bool) -> None:
     """Show the identity of NAME and how many grants it holds."""
@@ -148,4 +149,4 @@ def show(environment: Environment, name: str, as_json: bool) -> None:
         f"fingerprint {format_fingerprint(identity.thumbprint)}",
         f"{count} {'grant' if count == 1 else 'grants'} in {home.path}",
     ]
-    say_result(as_json, document, lines)
+    options.say_result(as_json, document, lines)

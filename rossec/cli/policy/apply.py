@@ -11,19 +11,7 @@ import click
 
 from ca.names import check_pattern, is_alias
 from grants import document
-from grants.policy.learn import (
-    MAX_LINE,
-    NewRule,
-    Observation,
-    add_rules,
-    beginning,
-    free_id,
-    from_graph,
-    from_log,
-    learnable,
-    needs_basics,
-)
-from grants.policy.learn import learn as learn_from
+from grants.policy import learn as learning
 from grants.policy.lint import lint
 from grants.policy.rules import ID as BASICS
 from grants.policy.rules import is_basics
@@ -78,7 +66,7 @@ def learn(
                 observed = list(dict.fromkeys(named))
         seen += observed
     read = _existing(place(environment.home, policy_path))
-    text, rules = learn_from(read.text, read.decider, seen, _day())
+    text, rules = learning.learn(read.text, read.decider, seen, _day())
     if out is None:
         read.replace(text)
     else:
@@ -86,7 +74,7 @@ def learn(
         parse_policy(text, str(out))
         files.replace(out, text.encode(), 0o644, keep=True)
     record(rules=[rule.id for rule in rules], file=str(out or read.path))
-    if needs_basics(seen) and not any(map(is_basics, read.policy.rules)):
+    if learning.needs_basics(seen) and not any(map(is_basics, read.policy.rules)):
         note("what every ROS program needs was left out: add basics: true to the policy")
     for rule in rules:
         say(f"learned {rule.id}: {_rights(rule)}")
@@ -97,18 +85,18 @@ def learn(
     )
 
 
-def _read_log(path: Path) -> list[Observation]:
+def _read_log(path: Path) -> list[learning.Observation]:
     with path.open(encoding="utf-8", errors="replace") as file:
-        return from_log(files.lines(file, MAX_LINE + 2))
+        return learning.from_log(files.lines(file, learning.MAX_LINE + 2))
 
 
-async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
+async def _observe_graph(environment: Environment, node: str) -> list[learning.Observation]:
     home = NodeHome.of(environment.home, node)
     async with master_as(environment, home, await find_master(environment, home)) as client:
         await client.ask(PRESENT_GRANTS, home.name, home.grants())
         state = await client.ask("getSystemState", home.name)
         types = await client.ask("getTopicTypes", home.name)
-    return [item for item in from_graph(state, types) if item.node != home.name]
+    return [item for item in learning.from_graph(state, types) if item.node != home.name]
 
 
 def _existing(path: Path) -> PolicyFile:
@@ -117,7 +105,7 @@ def _existing(path: Path) -> PolicyFile:
         return PolicyFile.read(path)
     if not path.parent.is_dir():
         raise ConfigurationError(f"there is no {path.parent}", "give --policy FILE")
-    text = beginning("robot")
+    text = learning.beginning("robot")
     return PolicyFile(path, text, parse_policy(text, str(path)))
 
 
@@ -125,7 +113,7 @@ def _day() -> str:
     return time.strftime("%Y-%m-%d", time.gmtime(now()))
 
 
-def _rights(rule: NewRule) -> str:
+def _rights(rule: learning.NewRule) -> str:
     return "; ".join(f"{label} {', '.join(names)}" for label, names in rule.rights.items())
 
 
@@ -142,18 +130,18 @@ def review(environment: Environment, log: Path, policy_path: Path | None) -> Non
     read = _existing(place(environment.home, policy_path))
     before = _count_own(read)
     for seen in _read_log(log):
-        item = learnable(seen)
-        if item is not None and learn_from(read.text, read.decider, [item], _day())[1]:
+        item = learning.learnable(seen)
+        if item is not None and learning.learn(read.text, read.decider, [item], _day())[1]:
             say(f"{item.node} wants to {item.right.label} {item.name}")
             question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
             answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
             if answer != "s":
-                read = read.replace(add_rules(read.text, [_rule_of(read, item, answer)]))
+                read = read.replace(learning.add_rules(read.text, [_rule_of(read, item, answer)]))
     total = _count_own(read)
     say(f"{check.count(total - before, 'new rule')}, {total} in {read.path}")
 
 
-def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
+def _rule_of(read: PolicyFile, item: learning.Observation, answer: str) -> learning.NewRule:
     name = item.name.rsplit("/", 1)[0] + "/*" if answer == "g" else item.name
     chosen = None
     if answer == "c":
@@ -163,8 +151,8 @@ def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
             raise ConfigurationError(f"no filter {chosen!r} in {read.path}", hint)
     effect = "deny" if answer == "d" else "allow"
     prefix = f"{'no' if effect == 'deny' else 'reviewed'}-{item.node[1:].replace('/', '-')}"
-    return NewRule(
-        free_id((rule.id for rule in read.policy.rules), prefix[:70]),
+    return learning.NewRule(
+        learning.free_id((rule.id for rule in read.policy.rules), prefix[:70]),
         f"reviewed {_day()}",
         item.node,
         effect,

@@ -13,19 +13,9 @@ import click
 from ca.names import local_name, shown
 from rossec import files
 from rossec.cli.ros.graph import as_node
+from rossec.cli.shared import messages as texts
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
-from rossec.cli.shared.messages import (
-    RateWindow,
-    SizeWindow,
-    fill,
-    mentions_now,
-    parse_arguments,
-    parse_documents,
-    plain,
-    render,
-    stamp_now,
-)
 from rossec.cli.shared.options import FILE, flag, option
 from rossec.errors import ConfigurationError, MessageError
 from rossec.host.runner import until_first_ends
@@ -75,9 +65,9 @@ def echo(
 
     def show(message: Message) -> None:
         if as_json:
-            say_json(plain(message))
+            say_json(texts.plain(message))
             return
-        say_block(render(message, hidden=hidden))
+        say_block(texts.render(message, hidden=hidden))
         say("---")
 
     async def listen() -> None:
@@ -242,11 +232,11 @@ def pub(
 
 def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
     if file is None:
-        return [parse_arguments(content)]
+        return [texts.parse_arguments(content)]
     if content:
         raise click.UsageError("CONTENT and --file exclude each other")
     text = files.read(file, MAX_FILE).decode(errors="replace")
-    contents = parse_documents(text)
+    contents = texts.parse_documents(text)
     if not contents:
         raise ConfigurationError(f"{file} holds no message", "one or more, with --- between them")
     return contents
@@ -262,11 +252,11 @@ class Messages:
     def at(self, number: int) -> Message:
         place = number % len(self._contents)
         content = self._contents[place]
-        return self._make(content) if mentions_now(content) else self._made[place]
+        return self._make(content) if texts.mentions_now(content) else self._made[place]
 
     def _make(self, content: object) -> Message:
         message = self.kind.create()
-        fill(message, content, stamp_now())
+        texts.fill(message, content, texts.stamp_now())
         return message
 
 
@@ -287,7 +277,7 @@ async def _publish(publisher: Publisher, messages: Messages, period: float, coun
 @pass_environment
 def hz(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
     """Show how often messages of the topic NAME arrive, as NODE may see them."""
-    rates = RateWindow(window)
+    rates = texts.RateWindow(window)
     _watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count)
 
 
@@ -322,6 +312,6 @@ def _watch(
 @pass_environment
 def bw(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
     """Show how many bytes of the topic NAME arrive, as NODE may see them."""
-    sizes = SizeWindow(window or 100)  # rostopic's
+    sizes = texts.SizeWindow(window or 100)  # rostopic's
 
     _watch(environment, name, node, sizes.add, lambda: sizes.describe(time.monotonic()), count)

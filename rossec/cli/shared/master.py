@@ -6,7 +6,6 @@ A grant of the node's own domain, or of a listed one, is verified. Of one of ano
 checked which the node can know: its form, its time and its key.
 """
 
-import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Mapping
 from functools import partial
@@ -18,7 +17,6 @@ from grants.errors import GrantNotHeld
 from grants.model import Grant, check_time
 from grants.token import MAX_TOKEN, Verifier, peek
 from rossec import files
-from rossec.authority.master_connection import master_connection
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.opening import post_quantum
 from rossec.cli.shared.context import Environment
@@ -26,14 +24,14 @@ from rossec.errors import ChannelClosed, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
 from rossec.host import addresses
 from rossec.host.addresses import warn_of_own_address
-from rossec.net.rpc import RpcClient
-from rossec.participant.renewals import MasterCall
 from rossec.ros import names
 from rossec.saved_statements import DomainFiles
 from rossec.terminal import note
 
 if TYPE_CHECKING:
+    from rossec.net.rpc import RpcClient
     from rossec.node import Node
+    from rossec.participant.renewals import MasterCall
 
 VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"
@@ -46,6 +44,8 @@ def master_at(environment: Environment, node: str | NodeHome | None, master_uri:
     uri = _given(environment, master_uri)
     if uri != DISCOVER:
         return uri
+    import asyncio  # noqa: PLC0415 - most commands have no loop
+
     return asyncio.run(find_master(environment, node, master_uri))
 
 
@@ -107,7 +107,7 @@ def own_variables(environment: Environment) -> Mapping[str, str]:
 @contextlib.asynccontextmanager
 async def calls_as(
     environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
-) -> AsyncIterator[MasterCall]:
+) -> AsyncIterator["MasterCall"]:
     """A connection on which the node has presented its grants; yields what calls over it."""
     async with master_as(environment, home, uri, own) as client:
 
@@ -121,8 +121,10 @@ async def calls_as(
 @contextlib.asynccontextmanager
 async def master_as(
     environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
-) -> AsyncIterator[RpcClient]:
+) -> AsyncIterator["RpcClient"]:
     """A connection to the master at `uri`, with the identity in `home`, or `own` instead."""
+    from rossec.authority.master_connection import master_connection  # noqa: PLC0415 - most call no master
+
     credentials = home.credentials() if own is None else own
     suites = post_quantum(environment.variables)
     connection = partial(master_connection, credentials, home.anchor(), uri, suites)

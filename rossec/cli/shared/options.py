@@ -60,6 +60,7 @@ image = option(
 entries = option(
     "--entries", "of that list where it is a tree; by default revocations.entries beside it", type=FILE
 )
+rules = option("--rules=FILE rules_path", "rules in XSLT instead of those that are shipped", type=FILE)
 as_json = flag("--json as_json", "one line of JSON")
 yes = flag("--yes", "do not ask")
 reason = option("--reason", "why, for the record", default="")

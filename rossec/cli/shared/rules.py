@@ -1,15 +1,10 @@
-"""What commands that name by rules have in common: options, rules and metadata in files, a name."""
+"""What commands that name by rules have in common: rules and metadata in files, a name."""
 
 import asyncio
 from pathlib import Path
 
 from rossec import files
-from rossec.cli.shared import options
 from rossec.naming import MAX_INPUT, RuleRunner, check_document, check_rules, require_extra, rule_runner
-
-option = options.option(
-    "--rules=FILE rules_path", "rules in XSLT instead of those that are shipped", type=options.FILE
-)
 
 
 def read_rules(path: Path | None) -> bytes:

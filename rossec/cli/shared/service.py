@@ -1,6 +1,5 @@
 """The authority of a command, with the passphrase and the master of its options; what it delivers."""
 
-import asyncio
 import contextlib
 import functools
 from collections.abc import Callable, Iterable, Sequence
@@ -20,7 +19,6 @@ from rossec.cli.shared.master import master_as, master_at
 from rossec.cli.shared.options import add_entry
 from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
 from rossec.ros import names
-from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
 _NO_LIST: Final = (
@@ -63,6 +61,10 @@ def call_master(environment: Environment, master_uri: str | None, call: Statemen
 
     Returns the value of its answer.
     """
+    import asyncio  # noqa: PLC0415 - what reads the record alone has no loop, and no network
+
+    from rossec.ros.xmlrpc import Fault  # noqa: PLC0415 - likewise
+
     if call.note:
         note(call.note)
     uri = master_at(environment, call.node, master_uri)

@@ -245,7 +245,7 @@ FORBIDDEN: Final = {"Node": "node_as", "discover_master": "find_master", "master
 CONNECTS_NOT: Final = {
     "rossec/cli/completion/sources.py": "finds the names that were kept for this value",
     "rossec/cli/ros/graph.py": "keeps names for completion by this value",
-    "rossec/cli/manual/pages.py": "explains it",
+    "rossec/cli/manual.py": "explains it",
 }
 READ_IT: Final = {"RelayMember", "BorderRouter"}  # ROS_MASTER_URI, from their argument
 

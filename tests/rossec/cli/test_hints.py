@@ -75,8 +75,7 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
         id(node.args[1])
         for node in ast.walk(tree)
         if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Name)
-        and node.func.id in ("option", "flag", "duration")
+        and getattr(node.func, "attr", getattr(node.func, "id", "")) in ("option", "flag", "duration")
         and len(node.args) == 2
     }  # `helps` has them
     parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}

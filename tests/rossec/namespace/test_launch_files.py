@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from rossec import files
-from rossec.cli.namespace import names
-from rossec.cli.namespace.names import MAX_FILES, read
+from rossec.cli import namespace as names
+from rossec.cli.namespace import MAX_FILES, read
 from rossec.errors import ConfigurationError, MetadataRefused, NotWritten
 from tests.rossec.namespace.launch_texts import launch, node, simple, topic
 

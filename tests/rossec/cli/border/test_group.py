@@ -5,8 +5,7 @@ import sys
 import click
 import pytest
 
-from rossec.cli import demo
-from rossec.cli.border import serve
+from rossec.cli import border, demo
 from tests.support.commands import Shell, refused
 
 
@@ -21,7 +20,7 @@ def test_without_a_verb_it_runs(empty: Shell, monkeypatch: pytest.MonkeyPatch) -
     def run(_environment: object, *arguments: object, as_json: bool) -> None:
         given.append((*arguments, as_json))
 
-    monkeypatch.setattr(serve, "run", run)
+    monkeypatch.setattr(border, "run", run)
     assert empty("border", "--as", "/attic", "--listen", "::1", "--json").code == 0
     assert given == [("/attic", "::1", 5683, True)]
 
@@ -34,5 +33,5 @@ def test_the_demonstration(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_without_the_extra(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rossec.cli.border.serve", None)
+    monkeypatch.setitem(sys.modules, "rossec.border.handshakes", None)
     refused(empty("border"), "CoAP for things is not installed", "rossec[constrained]")

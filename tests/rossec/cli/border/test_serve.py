@@ -71,7 +71,7 @@ def test_without_an_identity_or_with_options_before_a_verb(empty: Shell) -> None
 
 
 def test_without_the_extra(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rossec.cli.border.serve", None)
+    monkeypatch.setitem(sys.modules, "rossec.border.handshakes", None)
     refused(empty("border"), "CoAP for things is not installed", "rossec[constrained]")
 
 

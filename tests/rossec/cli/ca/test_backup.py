@@ -5,7 +5,7 @@ import pytest
 from ca.revocation.lists import is_tree
 from rossec.authority.backup import Restored
 from rossec.authority.home import AuthorityHome
-from rossec.cli.ca.backup import say_what_differs
+from rossec.cli.ca.home import say_what_differs
 from tests.support.commands import Shell, refused
 
 

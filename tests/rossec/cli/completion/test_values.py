@@ -50,14 +50,14 @@ def test_arguments_and_options_get_theirs() -> None:
     found = kinds("ros.topic:echo")
     assert [found[name] for name in ("name", "type_name", "--as")] == ["topic", "message type", "own node"]
     assert found["--count"] == FREE
-    assert [kinds("relay.sites:add_relay")[name] for name in ("label", "file")] == [FREE, FREE]
+    assert [kinds("sites:add_relay")[name] for name in ("label", "file")] == [FREE, FREE]
 
 
 def test_an_option_may_mean_something_else_in_one_command() -> None:
-    assert kinds("relay.sites:add_site")["--as"] == FREE
+    assert kinds("sites:add_site")["--as"] == FREE
     assert kinds("ros.calls:call")["--type"] == "service type"
 
 
 def test_the_places_are_those_of_the_tables() -> None:
     assert isinstance(rossec.commands["ca"], LazyCommand)
-    assert "ca.init:init" in LEAVES
+    assert "ca.home:init" in LEAVES

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rossec.authority.home import AuthorityHome
-from rossec.cli.console import serve as module
+from rossec.cli import console as module
 from rossec.console.options import NAME
 from tests.support.commands import Said, Shell, refused
 from tests.support.keyservice import running_service

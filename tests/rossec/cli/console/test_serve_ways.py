@@ -14,7 +14,7 @@ from urllib.parse import urlencode, urlsplit
 
 import pytest
 
-from rossec.cli.console import serve
+from rossec.cli import console as serve
 from rossec.console.tls import certificates
 from rossec.console.tls.certificates import key_pem, open_authority
 from tests.support.commands import Shell, refused

@@ -4,7 +4,7 @@ import pytest
 
 from ca.enrollment import qr
 from rossec.authority.home import AuthorityHome
-from rossec.cli.console.phones import login_address, running_service, show_code
+from rossec.cli.phones import login_address, running_service, show_code
 from rossec.errors import ConfigurationError
 from tests.support.commands import Shell
 from tests.support.keyservice import running_service as service

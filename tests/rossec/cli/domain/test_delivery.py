@@ -9,7 +9,7 @@ from ca.domains import DomainList, open_domains
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall
-from rossec.cli.domain.trust import publish_domains
+from rossec.cli.domain import publish_domains
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.service import call_master
 from rossec.home import NodeHome

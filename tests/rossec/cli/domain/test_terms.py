@@ -5,7 +5,7 @@ import pytest
 from click.testing import CliRunner
 
 from ca.errors import PatternRefused
-from rossec.cli.domain import trust
+from rossec.cli import domain as trust
 from rossec.errors import ConfigurationError
 from tests.vectors.make_domains import ENTRY, OTHER
 

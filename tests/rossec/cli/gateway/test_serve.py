@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.cli.gateway import serve
+from rossec.cli import gateway as module
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError, MasterNotFound
 from rossec.host import runner
@@ -121,9 +121,9 @@ def test_what_is_wrong_on_this_host_is_no_master_to_wait_for(
 
     site = Site(tmp_path / "site")
     site.enroll("/gateway")
-    monkeypatch.setattr(serve, "node_as", unreadable)
+    monkeypatch.setattr(module, "node_as", unreadable)
     with pytest.raises(PermissionError):
-        serve.run(Environment(site.environ), (), as_json=False)
+        module.run(Environment(site.environ), (), as_json=False)
 
 
 async def test_a_domain_that_is_not_trusted_is_refused(site: Site) -> None:
@@ -154,6 +154,6 @@ def test_a_gateway_waits_for_a_master_that_is_not_announced_yet(
     monkeypatch.setattr("rossec.discovery.discover_master", end_after_the_third)
     environ = {**site.environ, "ROS_MASTER_URI": "discover:"}
     with pytest.raises(ConfigurationError, match="enough"):
-        serve.run(Environment(environ), (), as_json=False)
+        module.run(Environment(environ), (), as_json=False)
     assert len(made) == 3
     assert caplog.text.count("no master yet, trying again: no master announces itself") == 1

@@ -1,7 +1,7 @@
 import click
 import pytest
 
-from rossec.cli.gateway.words import split
+from rossec.cli.gateway_words import split
 from rossec.errors import ConfigurationError
 from rossec.gateway.rules import TopicRule
 from rossec.participant.delivery_options import DeliveryOptions

@@ -5,7 +5,7 @@ import pytest
 
 from rossec.cli.completion.shells import OutlineTable
 from rossec.cli.main import rossec
-from rossec.cli.manual.pages import make
+from rossec.cli.manual import make
 from tests.rossec.cli.tables import all_commands
 
 

@@ -6,7 +6,7 @@ import click
 import pytest
 
 from rossec.cli.main import rossec
-from rossec.cli.manual.pages import escape, pages
+from rossec.cli.manual import escape, pages
 from tests.rossec.cli.tables import all_commands
 
 PAGES = pages(rossec, "1.2")

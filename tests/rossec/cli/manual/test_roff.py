@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.cli.manual import pages
+from rossec.cli import manual as pages
 
 
 @given(st.text())

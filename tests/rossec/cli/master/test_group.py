@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.master import serve
+from rossec.cli import master
 from tests.support.commands import Shell
 
 
@@ -18,7 +18,7 @@ def test_options_that_are_not_given_leave_the_configuration(
     empty: Shell, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], given: dict[str, Any]
 ) -> None:
     ran = []
-    monkeypatch.setattr(serve, "run", lambda *words, **options: ran.append((words, options)))
+    monkeypatch.setattr(master, "run", lambda *words, **options: ran.append((words, options)))
     assert empty("master", *words).code == 0
     ((arguments, options),) = ran
     assert arguments[1:] == (None, given, None)
@@ -33,7 +33,7 @@ def test_options_that_are_not_given_leave_the_configuration(
 
 def test_another_master_of_the_domain(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[dict[str, Any]] = []
-    monkeypatch.setattr(serve, "run", lambda *_, **options: ran.append(options))
+    monkeypatch.setattr(master, "run", lambda *_, **options: ran.append(options))
     assert empty("master", "--name", "/master/kitchen", "--follow-announced").code == 0
     assert (ran[0]["name"], ran[0]["follow_announced"]) == ("/master/kitchen", True)
     refused = empty("master", "--name", "/robot")
@@ -42,5 +42,5 @@ def test_another_master_of_the_domain(empty: Shell, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_verb_runs_no_master(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serve, "run", lambda *_, **__: pytest.fail("it runs"))
+    monkeypatch.setattr(master, "run", lambda *_, **__: pytest.fail("it runs"))
     assert empty("master", "status").code == 1

@@ -49,7 +49,7 @@ _CARRIED = """
 import sys
 held = set(sys.modules)  # what measures coverage has its own
 import rossec.cli.main
-import rossec.cli.master.serve
+import rossec.cli.master
 from rossec.net.aio.server import bind
 for listener in bind("127.0.0.1", 0):
     listener.close()

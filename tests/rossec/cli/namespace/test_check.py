@@ -7,7 +7,7 @@ import pytest
 
 from grants.document import sign
 from grants.model import Permission, Right
-from rossec.cli.namespace import serve as module
+from rossec.cli import namespace as module
 from tests.grants.authority import CA, draft
 from tests.rossec.naming.stylesheets import PHONE, RULES, gives
 from tests.support.commands import Shell, refused
@@ -98,5 +98,5 @@ def test_what_cannot_be_checked_is_refused(
         empty("namespace", "check", str(bad), "--meta", str(meta)),
         "line 4: rules may not use the function document()",
     )
-    monkeypatch.setattr(module, "MAX_FILES", 0)
+    monkeypatch.setattr(module, "MAX_METADATA_FILES", 0)
     refused(empty("namespace", "check", rules, "--meta", str(meta)), "1 files in", "")

@@ -7,7 +7,7 @@ import pytest
 from grants.document import sign
 from grants.model import Permission, Right
 from rossec.authority.policyfile import parse_policy
-from rossec.cli.namespace.serve import Coverage, read_grants
+from rossec.cli.namespace import Coverage, read_grants
 from rossec.errors import ConfigurationError
 from rossec.naming.requests import NameKind
 from tests.grants.authority import CA, draft, granted

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.cli.namespace import serve as module
+from rossec.cli import namespace as module
 from rossec.cli.shared.context import Environment
 from rossec.errors import RossecError, RulesRefused
 from rossec.host.runner import stop_on_signals

@@ -1,8 +1,8 @@
 """Which list of domains the commands of a relay go by."""
 
 from ca.domains import ForeignDomain
-from rossec.cli.relay.sites import known_domains, relay_files
 from rossec.cli.shared.context import Environment
+from rossec.cli.sites import known_domains, relay_files
 from tests.support.commands import Shell
 from tests.support.masters import domain_list
 from tests.support.site import DAY, Site

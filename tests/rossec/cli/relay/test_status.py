@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.relay.sites import RELAY_SOCKET
+from rossec.cli.sites import RELAY_SOCKET
 from rossec.master.operation.admin import AdminPort
 from tests.support.commands import Shell
 from tests.support.site import Site

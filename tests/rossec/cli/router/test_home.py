@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError
-from rossec.cli.relay.sites import home_of
 from rossec.cli.shared.context import Environment
+from rossec.cli.sites import home_of
 
 
 def test_the_directory_is_that_of_rossec_or_the_one_that_was_said(tmp_path: Path) -> None:

@@ -8,14 +8,18 @@ hold any character. `hatch_build.py` puts it all into the wheel.
 import inspect
 import json
 import re
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 import click
 
+from rossec import __version__
 from rossec.cli.completion.values import Outline, outline_of
+from rossec.cli.main import rossec
 from rossec.cli.shared.context import LazyCommand
+from rossec.terminal import say
 
 # A hyphen is a minus, so that an option can be copied from the page; accents and quotes are the ASCII
 # characters they are (groff_char(7), "Basic Latin").
@@ -211,3 +215,12 @@ def outlines(group: click.Group) -> Iterator[tuple[str, Outline]]:
             yield listed.place, outline_of(command)
             if isinstance(command, click.Group):
                 yield from outlines(command)
+
+
+def main() -> None:
+    written, _ = make(rossec, __version__, Path(sys.argv[1]))
+    say(f"{len(written)} pages in {written[0].parent}")
+
+
+if __name__ == "__main__":
+    main()

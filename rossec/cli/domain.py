@@ -1,4 +1,4 @@
-"""`rossec domain bundle | accept | limit | remove`: how far, and until when, a foreign domain is trusted."""
+"""`rossec domain`: which foreign domains are trusted, how far, and until when."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -8,32 +8,23 @@ from typing import Any, Final
 
 import click
 
-from ca.domains import (
-    LEAST_FRESH,
-    MAX_TRUST_BUNDLE,
-    MAX_TRUST_BUNDLE_LIFETIME,
-    MOST_FRESH,
-    ForeignDomain,
-    NameRights,
-    TrustBundle,
-    open_bundle,
-)
+from ca import domains
 from ca.enrollment import qr
 from ca.enrollment.qr import bundle_code, check_code
 from ca.errors import NameRefused
 from ca.names import MASTER, RELAY, check_label, check_pattern
-from ca.store.signed_statements import check_domains_apart
+from ca.store.record import Store
+from ca.store.signed_statements import DomainRow, check_domains_apart
 from grants.model import ALL_RIGHTS, Right
 from rossec import clock, files
-from rossec.authority.domain_operations import living_grants
+from rossec.authority.domain_operations import find_row, living_grants
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
-from rossec.cli.shared.context import confirm, now
+from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.service import pass_service, publish_list
-from rossec.enrollment import code_in_file
 from rossec.errors import ConfigurationError
-from rossec.terminal import note, note_picture, printable, record, say
+from rossec.terminal import note, note_picture, printable, record, say, say_json
 
 # Without these, the masters of two domains cannot follow each other, nor learn of revocations.
 OF_MASTERS: Final = (MASTER, f"{MASTER}/*")
@@ -57,7 +48,10 @@ admit = options.option(
 )
 @options.option("--at=URI masters", "where they reach your master", multiple=True)
 @options.duration(
-    "--for lifetime", "how long it can be accepted", days=MAX_TRUST_BUNDLE_LIFETIME // 86400, default="7d"
+    "--for lifetime",
+    "how long it can be accepted",
+    days=domains.MAX_TRUST_BUNDLE_LIFETIME // 86400,
+    default="7d",
 )
 @options.flag("--qr picture", "also show its code as a picture, on stderr")
 @options.json_result(pass_service)
@@ -97,7 +91,7 @@ def lifetime(default: str | None) -> Callable[..., Any]:
 
 def fresh(default: str | None) -> Callable[..., Any]:
     text = "how old its last word on its revocations may be"
-    return options.duration("--fresh", text, days=MOST_FRESH // 86400, default=default)
+    return options.duration("--fresh", text, days=domains.MOST_FRESH // 86400, default=default)
 
 
 def rules(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -144,19 +138,21 @@ def accept(
     """
     # 1. The bundle is the one that was meant, as far as that can be checked here. It is signed by the root in
     # it, so by anybody: only the code or fingerprint of the other screen decides (attack `foreign-bundle`).
-    home, data = service.home, files.read(bundle, MAX_TRUST_BUNDLE)
+    home, data = service.home, files.read(bundle, domains.MAX_TRUST_BUNDLE)
     if image is not None:
+        from rossec.enrollment import code_in_file  # noqa: PLC0415 - carries the network of an enrollment
+
         code = code_in_file(image, sys.stdin.buffer)
     if code is not None:
         check_code(code, data)
-    found = open_bundle(data, now())
+    found = domains.open_bundle(data, now())
     shown = format_fingerprint(found.anchor.thumbprint)
     if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
         raise ConfigurationError(
             f"the fingerprint of the bundle is {shown}",
             "it is another authority's: ask yours for its bundle again, and trust no other",
         )
-    domain = ForeignDomain(
+    domain = domains.ForeignDomain(
         found.anchor.domain,
         _label(home, found, label),
         found.root,
@@ -190,7 +186,7 @@ def accept(
     publish_domains(service)
 
 
-def _label(home: AuthorityHome, bundle: TrustBundle, given: str | None) -> str:
+def _label(home: AuthorityHome, bundle: domains.TrustBundle, given: str | None) -> str:
     if given is not None:
         return check_label(given)
     domain = bundle.anchor.domain
@@ -210,21 +206,21 @@ def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_fresh(seconds: int) -> int:
-    if seconds < LEAST_FRESH:
+    if seconds < domains.LEAST_FRESH:
         raise ConfigurationError(
-            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
+            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {domains.LEAST_FRESH}s"
         )
     return seconds
 
 
-def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
+def read_rules(texts: tuple[str, ...]) -> tuple[domains.NameRights, ...] | None:
     """The rules of an export or import; None: no rule, and so no limit."""
     if texts == (EVERYTHING,):
         return None
     return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))
 
 
-def _rule(text: str) -> NameRights:
+def _rule(text: str) -> domains.NameRights:
     pattern, _, listed = text.strip().partition(" ")
     bits = Right(0)
     for label in listed.replace(",", " ").split():
@@ -239,7 +235,9 @@ def _rule(text: str) -> NameRights:
     return check_pattern(pattern), int(bits)
 
 
-def _show(home: AuthorityHome, domain: ForeignDomain, bundle: TrustBundle, *, is_checked: bool) -> None:
+def _show(
+    home: AuthorityHome, domain: domains.ForeignDomain, bundle: domains.TrustBundle, *, is_checked: bool
+) -> None:
     say(printable(f"domain {domain.domain}, here {domain.label}:/... and /remote/{domain.label}"))
     for line in lines(domain):
         say(printable(line))
@@ -255,7 +253,7 @@ def _show(home: AuthorityHome, domain: ForeignDomain, bundle: TrustBundle, *, is
     )
 
 
-def lines(terms: ForeignDomain) -> Iterator[str]:
+def lines(terms: domains.ForeignDomain) -> Iterator[str]:
     yield f"  fingerprint {fingerprint(terms.anchor)}"
     yield f"  admits {_admitted(terms.admitted)}"
     yield f"  until {clock.format_time(terms.until)}"
@@ -283,7 +281,7 @@ def duration(seconds: int) -> str:
     return f"{seconds}s"
 
 
-def as_json(terms: ForeignDomain) -> dict[str, Any]:
+def as_json(terms: domains.ForeignDomain) -> dict[str, Any]:
     return {
         "label": terms.label,
         "domain": terms.domain,
@@ -296,7 +294,7 @@ def as_json(terms: ForeignDomain) -> dict[str, Any]:
     }
 
 
-def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
+def _rules_json(given: tuple[domains.NameRights, ...] | None) -> list[dict[str, Any]] | None:
     if given is None:
         return None
     return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
@@ -383,3 +381,55 @@ def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bo
         publish_list(service)
     else:
         publish_domains(service)
+
+
+@click.command("list")
+@options.flag("--all everything", "also those that were removed")
+@options.flag("--json in_json", "one line of JSON")
+@pass_environment
+def list_(environment: Environment, everything: bool, in_json: bool) -> None:
+    """List the foreign domains that are trusted."""
+    with closing(AuthorityHome.at(environment.home).store()) as store:
+        rows = store.domains.accepted()
+        if everything:
+            rows = list({(row.label, row.root): row for row in store.domains.all()}.values())
+        states = [(row, _state(store, row)) for row in rows]
+    none = "no foreign domains" if everything else "no foreign domain is trusted"
+    lines = [
+        printable(f"{row.label}  {row.domain}  until {clock.format_time(row.read().until)}  {state}")
+        for row, state in states
+    ]
+    document = [{**as_json(row.read()), "state": state} for row, state in states]
+    options.say_result(in_json, document, lines or [none])
+
+
+@click.command()
+@click.argument("label")
+@options.flag("--json in_json", "one line of JSON")
+@pass_environment
+def show(environment: Environment, label: str, in_json: bool) -> None:
+    """Show how far the domain LABEL is trusted."""
+    with closing(AuthorityHome.at(environment.home).store()) as store:
+        row = find_row(store, label)
+        held, state = row.read(), _state(store, row)
+        grants = len(living_grants(store, label, now()))
+        reason, ended = store.domains.ends().get(row.number, ("", 0))
+    if in_json:
+        shown = {**as_json(held), "state": state, "grants": grants}
+        say_json({**shown, "since": row.at, "ended": ended or None, "reason": reason})
+        return
+    say(printable(f"domain {row.domain}, here {label}: {state}"))
+    for line in lines(held):
+        say(printable(line))
+    say(f"  {grants} grants for its nodes are in force or can be renewed")
+    say(f"  these terms since {clock.format_time(row.at)}")
+    if ended:
+        say(printable(f"  removed {clock.format_time(ended)}{f': {reason}' * bool(reason)}"))
+    else:
+        say("  whether it trusts this domain too, the master knows: rossec federation status")
+
+
+def _state(store: Store, row: DomainRow) -> str:
+    if row.number not in {each.number for each in store.domains.accepted()}:
+        return "removed"
+    return "trusted" if now() < row.read().until else "its time is over"

@@ -108,6 +108,7 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
         if listed is None:
             raise ConfigurationError(f"the descriptor is of domain {found.domain}, not trusted here", _LISTED)
         domain = listed.entry.label
+    # Whoever brings it, that relay proves itself by certificate at each link (attack `relay-impostor`).
     if not domain and found.relay == store.home.name:
         raise ConfigurationError(
             f"this is the descriptor of {found.relay}, the relay of this host itself",
@@ -290,6 +291,7 @@ def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     That is its authority, its accounts and its address. FILE is - for standard input. A router that
     runs here takes the accounts over within a second.
     """
+    # It becomes the authority of this router: a file that another user can write would choose it.
     if str(file) == "-":
         data = sys.stdin.buffer.read(MAX_SHARE_FILE + 1)
     else:

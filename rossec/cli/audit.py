@@ -63,6 +63,7 @@ def audit(
             raise ConfigurationError(f"line {damaged[0]} of {path} is damaged", "compare a backup")
         _note_damage(path, damaged)
         entries += found
+    # Each part begins with a signed line that names the hash before it (attack `cut-audit`).
     last = audits.verify(entries, after) if verified else ""
     if verified and entries:
         known = _key(writer, key)

@@ -1,30 +1,23 @@
-"""`rossec border`, its verbs: the things of a border router."""
+"""`rossec border`: run a border router until it is stopped; its things."""
 
 from pathlib import Path
 from typing import Final
 
 import click
 
+from ca import things
 from ca.enrollment import qr
 from ca.errors import ThingRefused
 from ca.svid import check_request
-from ca.things import (
-    MAX_STATEMENT,
-    Credential,
-    ThingKey,
-    ThingSecret,
-    check_thing_name,
-    read_ccs,
-    read_description,
-    secret_text,
-)
-from rossec import files
+from rossec import clock, files
 from rossec.authority.home import format_fingerprint
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.master import with_master
 from rossec.cli.shared.options import FILE, NEW_FILE, Batch, flag, json_result, option, unique
 from rossec.clock import format_time
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, NotWritten
 from rossec.home import NodeHome
+from rossec.host.local_sockets import process_lock
 from rossec.saved_statements import ThingFiles
 from rossec.terminal import fail, note, printable, record, say, say_json, say_picture, say_secret
 
@@ -55,9 +48,9 @@ def add(
         raise ConfigurationError("a thing with a key has no secret here", "leave --secret-out out")
     home = NodeHome.of(environment.home, router)
     domain = home.identity(now()).domain
-    check_thing_name(name)
+    things.check_thing_name(name)
     if ccs is not None:
-        found = read_ccs(files.read(ccs, _MAX_CREDENTIAL))
+        found = things.read_ccs(files.read(ccs, _MAX_CREDENTIAL))
         say(f"key of {name}: fingerprint {format_fingerprint(found.thumbprint)}")
         option = f"--key {ccs}"
     else:
@@ -70,16 +63,17 @@ def add(
     say(f"next, at the authority: rossec ca thing {name} --border {router} {option} {request}")
 
 
-def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
+def _secret(router_files: ThingFiles, name: str, out: Path | None) -> Path:
     # Make a secret, give it to its owner, and return the file that describes it.
     if out is not None and out.exists():
         raise ConfigurationError(f"{out} exists and is not overwritten", "name a new file")
     if out is not None and not out.parent.is_dir():  # before a secret is made that nobody gets
         raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
-    secret = things.create_secret(name)
-    known = ThingSecret.of(secret, things.free_kid())
-    text = secret_text(known.kid, secret)
-    described = things.describe_secret(name, known)
+    # Made here, where it is used: the authority and its record know a thumbprint (attack `thing-secret`).
+    secret = router_files.create_secret(name)
+    known = things.ThingSecret.of(secret, router_files.free_kid())
+    text = things.secret_text(known.kid, secret)
+    described = router_files.describe_secret(name, known)
     if out is not None:
         files.create(out, f"{text}\n".encode())
         say(f"secret of {name}: {out}", secret_file=str(out))
@@ -113,7 +107,7 @@ def install(environment: Environment, statement: Path, bundle: Path | None, rout
             )
         node.install(pem, now())
         say(f"{node.name} is enrolled in {anchor.domain}", identity=node.name, domain=anchor.domain)
-    found = ThingFiles(home).install(files.read(statement, MAX_STATEMENT))
+    found = ThingFiles(home).install(files.read(statement, things.MAX_STATEMENT))
     say(f"{found.name} is served until {format_time(found.expires)}", name=found.name, expires=found.expires)
     if not (NodeHome.of(environment.home, found.name).path / "node.pem").exists():
         note(f"the node {found.name} has no identity here yet: rossec node install FILE")
@@ -157,10 +151,10 @@ def labels(credentials: tuple[Path, ...], out: Path) -> None:
     for path in credentials:
         data = files.read(path, _MAX_CREDENTIAL)
         try:
-            found: Credential = read_description(data)
+            found: things.Credential = things.read_description(data)
         except ThingRefused:
-            found = read_ccs(data)
-        name = (found.subject if isinstance(found, ThingKey) else "") or path.stem
+            found = things.read_ccs(data)
+        name = (found.subject if isinstance(found, things.ThingKey) else "") or path.stem
         made.append(qr.Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data)))
     files.replace(out, qr.sheet(made).encode(), 0o644)
     record(names=[each.name for each in made], file=str(out))
@@ -183,7 +177,7 @@ def list_(environment: Environment, router: str, *, as_json: bool) -> None:
         say_json({"things": rows})
         return
     for each in found:
-        kind = "key" if isinstance(each.credential, ThingKey) else "secret"
+        kind = "key" if isinstance(each.credential, things.ThingKey) else "secret"
         ends = "expired" if each.expires <= now() else f"until {format_time(each.expires)}"
         say(f"{each.name}  {kind} {each.credential.kid.hex()}  {ends}")
     for path, error in loaded.refused.items():
@@ -252,3 +246,52 @@ def forget(environment: Environment, names: tuple[str, ...], router: str) -> Non
             say(f"{name} is not served here any more")
             note(f"if it is lost, at the authority: rossec ca revoke --thing {name}")
     batch.finish()
+
+
+def run(environment: Environment, name: str, host: str, port: int, *, as_json: bool) -> None:
+    """Run the border router `name`, which listens for things at `host` and `port`, until a signal ends it."""
+    import asyncio  # noqa: PLC0415 - the other verbs have no loop
+
+    from rossec.host.runner import stop_on_signals, until_stopped  # noqa: PLC0415 - likewise
+    from rossec.master.operation import raise_descriptor_limit  # noqa: PLC0415 - likewise
+
+    try:
+        from rossec.border import border_router  # noqa: PLC0415 - an extra
+        from rossec.border.handshakes import StaticKey  # noqa: PLC0415 - likewise
+    except ImportError as error:
+        raise needs_extra() from error
+    home = NodeHome.of(environment.home, name)
+    home.identity(now())
+
+    async def serve() -> None:
+        stop = stop_on_signals()
+        key = StaticKey(ThingFiles(home).router_key())
+        router = border_router.BorderRouter(home.name, key, await with_master(environment, home), host, port)
+
+        async def write_status() -> None:
+            while True:
+                try:
+                    status = border_router.describe_status(router, clock.now())
+                    border_router.write_status(home.path, status)
+                except NotWritten as error:  # a full disk ends no thing
+                    note(str(error))
+                await asyncio.sleep(border_router.STATUS_PERIOD)
+
+        try:
+            await router.start()
+            address, count = router.server.address, len(router.roster)
+            if as_json:
+                say_json({"ready": list(address), "things": count})
+            else:
+                say(f"border router {home.name} at {address[0]} port {address[1]} (UDP), {count} things")
+                if not count:
+                    note("add things: rossec border add NAME --key FILE")
+            await until_stopped(stop, environment.variables, router.wait_ended(), write_status())
+        finally:
+            await router.close()
+            (home.path / border_router.STATUS_FILE).unlink(missing_ok=True)
+
+    busy = ConfigurationError(f"{name} runs already", "see: rossec border status")
+    with process_lock(home.path / "border.lock", busy):
+        raise_descriptor_limit()
+        asyncio.run(serve())

@@ -1,4 +1,4 @@
-"""`rossec console`: the pages, as long as it runs."""
+"""`rossec console | console tls`: the pages, as long as it runs, and its own TLS authority."""
 
 import asyncio
 import os
@@ -6,23 +6,28 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+import click
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
-from rossec.cli.console.phones import login_address, running_service, show_code
-from rossec.cli.shared.context import Environment, now
+from rossec.cli.phones import login_address, running_service, show_code
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.console import tls as own_tls
 from rossec.console.options import (
     HAND_OUT_PORT,
     ConsoleEndpoint,
     ConsoleOptions,
+    check_name,
     check_origin,
     only_console,
     read_options,
     write_address,
 )
-from rossec.console.tls import DIRECTORY, TlsAuthority, TlsSetup, describe, prepare_tls, renewed_from
-from rossec.console.tls import as_json as described
+from rossec.console.tls import certificates
 from rossec.errors import ConfigurationError
 from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import say, say_block, say_json
@@ -54,7 +59,7 @@ def serve(
     # A passkey is bound to the origin it was made at: another name would end every phone's (WebAuthn).
     if not endpoint.read_only:  # nobody approves there
         check_origin(endpoint, origins_of_phones(home), rename=rename)
-    setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
+    setup = own_tls.prepare_tls(endpoint, home.path / own_tls.DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
         web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
 
@@ -64,7 +69,7 @@ def serve(
             authority = None if setup is None else setup.authority
             address = login_address(endpoint.origin, client.phone_code())
             if as_json:
-                about = {} if authority is None else {"tls": described(authority)}
+                about = {} if authority is None else {"tls": own_tls.as_json(authority)}
                 say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
             else:
                 _say_authority(authority, endpoint)
@@ -72,7 +77,7 @@ def serve(
                 say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
             notify(READY, environment.variables)
 
-        certificates = None if setup is None else renewed_from(setup.source, now)
+        certificates = None if setup is None else own_tls.renewed_from(setup.source, now)
         preview = _preview(environment) if options.preview else None
         with _handing_out(endpoint, setup, environment):
             asyncio.run(supervise(endpoint, web, environment.variables, ready, certificates, preview))
@@ -101,7 +106,7 @@ def _ending(home: AuthorityHome, environment: Environment, endpoint: ConsoleEndp
 
 @contextmanager
 def _handing_out(
-    endpoint: ConsoleEndpoint, setup: TlsSetup | None, environment: Environment
+    endpoint: ConsoleEndpoint, setup: own_tls.TlsSetup | None, environment: Environment
 ) -> Iterator[None]:
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
@@ -113,11 +118,11 @@ def _handing_out(
         yield
 
 
-def _say_authority(authority: TlsAuthority | None, endpoint: ConsoleEndpoint) -> None:
+def _say_authority(authority: own_tls.TlsAuthority | None, endpoint: ConsoleEndpoint) -> None:
     # What a person needs whose phone does not trust it yet.
     if authority is None:
         return
-    for line in describe(authority, now()):
+    for line in own_tls.describe(authority, now()):
         say(line)
     if not endpoint.hand_out:
         say("a phone that does not trust it yet: start with --hand-out")
@@ -125,3 +130,33 @@ def _say_authority(authority: TlsAuthority | None, endpoint: ConsoleEndpoint) ->
     say("for ten minutes a phone gets the certificate, and how to install it, at")
     say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
     say_block("compare the fingerprint before you trust it: that page is not protected\n")
+
+
+@click.command()
+@options.flag("--renew", "make a new one, which every phone must install anew")
+@options.option("--name", "DNS name of this host for --renew; by default as before")
+@options.as_json
+@pass_environment
+def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) -> None:
+    """Show the console's own TLS authority (--lan): its fingerprint, in words and hex.
+
+    It is valid for a year. A console that runs uses a new one when it is started again.
+    """
+    if name is not None and not renew:
+        raise click.UsageError("--name is for --renew")
+    directory = environment.home / "ca" / certificates.DIRECTORY
+    if renew:
+        authority = certificates.renew(directory, _name(directory, name), certificates.first_address(), now())
+    else:
+        authority = certificates.open_authority(directory)
+    install = ["install it on every phone: rossec console --lan --hand-out"] if renew else []
+    options.say_result(as_json, own_tls.as_json(authority), [*own_tls.describe(authority, now()), *install])
+
+
+def _name(directory: Path, given: str | None) -> str:
+    if given is not None:
+        return check_name(given)
+    try:
+        return certificates.open_authority(directory).name
+    except ConfigurationError:  # none, or a damaged one
+        return read_options(ConsoleOptions(lan=True), socket.gethostname()).name

@@ -95,6 +95,7 @@ def remove(environment: Environment, name: str, reason: str) -> None:
         found = [each for each in store.passkeys.active() if each.name == name]
         if not found:
             raise ConfigurationError(f"no phone is called {name!a}", "see: rossec console phones")
+        # What it approved and still waits for the key ends with it (attack `console-removed-phone`).
         before = len(store.approvals.waiting())
         store.remove_passkey(found[0].id, reason, now())
         ended = before - len(store.approvals.waiting())

@@ -1,18 +1,19 @@
-"""Run the relay of a site until it is stopped."""
+"""Run a relay or a router until it is stopped; print a router's settings for a stock `zenohd`."""
 
 import asyncio
 import logging
 import os
 import socket
+from collections.abc import Mapping
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
 
 from ca.errors import HintedError
 from rossec import files
-from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.master import with_master
+from rossec.cli.sites import RELAY_SOCKET, relay_files
 from rossec.environment import own_relay
 from rossec.errors import ConfigurationError, OverlayUnavailable
 from rossec.host.audit import audit_written
@@ -24,15 +25,18 @@ from rossec.master.operation import AdminPort, raise_descriptor_limit
 from rossec.overlay.documents import MAX_ACCOUNT_FILE, Routers
 from rossec.overlay.endpoint import RouterNetwork
 from rossec.overlay.forwarded_ports import OpenPorts
+from rossec.overlay.homes import RouterHome
 from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
+from rossec.overlay.router import Router, accounts_of
+from rossec.overlay.router_settings import RouterSettings, nested, zenoh_settings
 from rossec.overlay.zenoh_carrier import Carrier
-from rossec.terminal import note, printable, say, say_json
+from rossec.terminal import json_text, note, printable, say, say_block, say_json
 
 _log = logging.getLogger("rossec.overlay")
 
 
-def run(environment: Environment, bind: str, account_file: Path | None, *, as_json: bool) -> None:
+def run_relay(environment: Environment, bind: str, account_file: Path | None, *, as_json: bool) -> None:
     """Run the relay of this host.
 
     Without an address to `bind` forwarded ports are on loopback, for this user. `account_file` is used
@@ -98,3 +102,50 @@ def _admission(bind: str) -> PortAdmission:
             f"{bind[:80]} is not an address of this host", "--bind 192.168.1.5, as ROS_IP is"
         ) from error
     return OpenPorts(address)
+
+
+def run_router(
+    environment: Environment,
+    home: RouterHome,
+    given: Mapping[str, tuple[str, ...]],
+    *,
+    is_open: bool,
+    as_json: bool,
+) -> None:
+    """Run the router of `home` until a signal ends it; what was `given` is kept for the next start."""
+    home.prepare()
+
+    async def serve(settings: RouterSettings) -> None:
+        stop = stop_on_signals()
+        router = Router(home, settings, is_open=is_open)
+        try:
+            await router.start()
+            if as_json:
+                say_json({"ready": list(settings.listen)})
+            else:
+                say(f"router at {', '.join(settings.listen)}")
+                if is_open:
+                    note("it is open: whoever reaches it can use it, and count what others send")
+                else:
+                    say(f"accounts: {', '.join(home.accounts().names)}")
+                if settings.join:
+                    say(f"joins {', '.join(settings.join)}")
+            await until_stopped(stop, environment.variables, router.run())
+        finally:
+            await router.close()
+
+    with home.alone():
+        settings = home.tell(**given)
+        accounts_of(home, is_open=is_open)
+        asyncio.run(serve(settings))
+
+
+def print_settings(home: RouterHome, given: Mapping[str, tuple[str, ...]], *, is_open: bool) -> None:
+    """Print what `zenohd --config FILE` reads; it names files of `home`, which are made."""
+    home.prepare()
+    settings = home.tell(**given)
+    accounts = accounts_of(home, is_open=is_open)
+    home.write_for_zenoh(settings, accounts)
+    say_block(json_text(nested(zenoh_settings(settings, accounts, home.files)), 1))
+    if accounts is not None:
+        note("it holds the password of this router: keep the file to yourself (chmod 600)")

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from rossec.authority.local_list import LocalList
 from rossec.channel import opening
-from rossec.cli.master.audit import AUDIT
+from rossec.cli.audit import AUDIT
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import own_variables
 from rossec.cli.status import ADMIN_SOCKET
@@ -22,15 +22,7 @@ from rossec.home import NodeHome
 from rossec.host.audit import audit_written
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import log_as_json, stop_on_signals, until_stopped
-from rossec.master.operation import (
-    AdminPort,
-    Config,
-    MetricsExporter,
-    denials_limited,
-    on_loop,
-    raise_descriptor_limit,
-)
-from rossec.master.operation import config as configs
+from rossec.master import operation
 from rossec.master.rights.renewals import Renewer
 from rossec.master.server import DenialLog, MasterServer, ignore_denial, master_of
 from rossec.ros import names
@@ -57,12 +49,14 @@ def run(
     `passphrase_file` opens.
     """
     suites = opening.post_quantum(environment.variables, post_quantum)
-    config = replace(Config() if config_file is None else configs.load(config_file), **given)
+    config = replace(
+        operation.Config() if config_file is None else operation.config.load(config_file), **given
+    )
     with ExitStack() as stack:
         if config.log == "json":
             log_as_json()
-        raise_descriptor_limit()
-        stack.enter_context(denials_limited())
+        operation.raise_descriptor_limit()
+        stack.enter_context(operation.denials_limited())
         home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
         own = names.read((), own_variables(environment), default_name=name)  # likewise
@@ -100,9 +94,9 @@ def run(
                 await _start(server)
                 exporter = None
                 if config.metrics is not None:
-                    exporter = MetricsExporter(on_loop(server.status), config.metrics)
+                    exporter = operation.MetricsExporter(operation.on_loop(server.status), config.metrics)
                     parts.push_async_callback(asyncio.to_thread, exporter.close)
-                admin = AdminPort(home.path / ADMIN_SOCKET, _commands(server, mesh))
+                admin = operation.AdminPort(home.path / ADMIN_SOCKET, _commands(server, mesh))
                 parts.push_async_callback(admin.close)
                 if config.admin:
                     await admin.start()

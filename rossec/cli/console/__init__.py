@@ -1,1 +1,0 @@
-"""`rossec console`: the pages, and the phones that approve."""

@@ -1,1 +1,0 @@
-"""`rossec domain`: which foreign domains are trusted, how far, and until when."""

@@ -1,1 +1,0 @@
-"""Manual pages, made of the commands themselves when the wheel is built (docs/decisions/0046)."""

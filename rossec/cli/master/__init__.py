@@ -1,1 +1,0 @@
-"""`rossec master`, and commands about a running one."""
