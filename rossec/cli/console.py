@@ -17,15 +17,14 @@ from rossec.cli.phones import login_address, running_service, show_code
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.console import tls as own_tls
+from rossec.console.listening import only_console, write_address
 from rossec.console.options import (
     HAND_OUT_PORT,
     ConsoleEndpoint,
     ConsoleOptions,
     check_name,
     check_origin,
-    only_console,
     read_options,
-    write_address,
 )
 from rossec.console.tls import certificates
 from rossec.errors import ConfigurationError

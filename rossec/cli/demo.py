@@ -15,7 +15,8 @@ from ca.enrollment import qr
 from rossec.cli.console import check_libraries
 from rossec.cli.shared import context
 from rossec.cli.shared.options import PATH, option
-from rossec.console.options import PORT, ConsoleOptions, listen, read_options
+from rossec.console.listening import listen
+from rossec.console.options import PORT, ConsoleOptions, read_options
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
 from rossec.demo.steps import FRIDGE, begin_story, show_code

@@ -11,14 +11,14 @@ from ca.approvals.passkeys import Passkey
 from ca.approvals.statement import StatementKind
 from ca.enrollment import qr
 from ca.store.log import ApprovalState
-from rossec.authority.console.access import CODE_LIFETIME
-from rossec.authority.console.messages import sentence
+from rossec.authority.console.messages import CODE_LIFETIME, sentence
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.clock import format_time
-from rossec.console.options import LOCALHOST, MAX_PHONE_NAME, read_address
+from rossec.console.listening import read_address
+from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say, say_json, say_picture
 

@@ -18,7 +18,7 @@ from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.messages import SOCKET
 from rossec.authority.service import AuthorityService
-from rossec.console.options import only_console, write_address
+from rossec.console.listening import only_console, write_address
 from rossec.console.tls import certificates as tls
 from rossec.saved_statements import DomainFiles
 from tests.rossec.cli.domain.sites import Neighbours

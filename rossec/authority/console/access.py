@@ -30,7 +30,14 @@ from ca.encoding import Value, decode, encode
 from ca.errors import ApprovalRefused
 from rossec import clock
 from rossec.authority.console import messages
-from rossec.authority.console.messages import LoginChallenge, PhoneView, Proposal, check_page, to_value
+from rossec.authority.console.messages import (
+    CODE_LIFETIME,
+    LoginChallenge,
+    PhoneView,
+    Proposal,
+    check_page,
+    to_value,
+)
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.errors import KeyServiceRefused, PhoneCodeRefused
 from rossec.peer_limits import SharedTable
@@ -96,7 +103,6 @@ def _other() -> ApprovalRefused:
     return ApprovalRefused("this was answered before, or took too long", "open the page again")
 
 
-CODE_LIFETIME: Final = 120.0  # seconds
 MAX_FAILURES: Final = 5
 PERIOD: Final = 60.0  # seconds in which failures count, and for which they lock
 MAX_CODES: Final = 16  # outstanding, of one use

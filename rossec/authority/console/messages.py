@@ -92,6 +92,7 @@ def _host(origin: str) -> str | None:
     return host if is_secure else None
 
 
+CODE_LIFETIME: Final = 120.0  # seconds, of a code that a terminal shows
 SOCKET: Final = "console.sock"  # in the authority's directory
 # What the console has there. Who restores an authority makes a new TLS key for browsers.
 DIRECTORY: Final = "console"

@@ -18,7 +18,8 @@ from typing import Any, Final, NamedTuple
 from rossec import clock
 from rossec.authority.keyservice.process import CREDENTIALS
 from rossec.console import scanning
-from rossec.console.options import ConsoleEndpoint, listen
+from rossec.console.listening import listen
+from rossec.console.options import ConsoleEndpoint
 from rossec.console.preview import NAME
 from rossec.console.server import control
 from rossec.enrollment import CLOSER

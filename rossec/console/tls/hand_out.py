@@ -23,7 +23,8 @@ from typing import BinaryIO, Final, NamedTuple
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from rossec.console.options import HAND_OUT_PORT, listen_tcp
+from rossec.console.listening import listen_tcp
+from rossec.console.options import HAND_OUT_PORT
 from rossec.console.server import ConsoleServer
 from rossec.errors import ConfigurationError
 from rossec.host.workers import run_confined, start_worker, worker_command

@@ -51,7 +51,8 @@ def twin(of: Any) -> Any:
     """As `copy.copy`, which takes longer than all the rest of a stream."""
     made = object.__new__(type(of))
     for name in getattr(of, "__slots__", None) or vars(of):
-        setattr(made, name, getattr(of, name))
+        if name != "__weakref__" and hasattr(of, name):
+            setattr(made, name, getattr(of, name))
     return made
 
 

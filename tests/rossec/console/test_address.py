@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.options import NAME, only_console, read_address, write_address
+from rossec.console.listening import NAME, only_console, read_address, write_address
 from rossec.errors import ConfigurationError
 
 

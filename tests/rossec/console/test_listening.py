@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.options import ConsoleOptions, listen, listen_for_proxy, listen_tcp, read_options
+from rossec.console.listening import listen, listen_for_proxy, listen_tcp
+from rossec.console.options import ConsoleOptions, read_options
 from rossec.errors import ConfigurationError
 from tests.support.ports import free_port
 

@@ -22,7 +22,7 @@ class Stream:
     """Collects what is sent; receives nothing until it is closed."""
 
     def __init__(self) -> None:
-        self.peer = SimpleNamespace(name="/viewer", thumbprint=b"k", not_after=time.time() + 99)
+        self.peer = SimpleNamespace(name="/viewer", thumbprint=b"k", keys=(), not_after=time.time() + 99)
         self.sent: list[bytes] = []
         self.open = asyncio.Event()
         self.open.set()

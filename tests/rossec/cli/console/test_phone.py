@@ -10,7 +10,7 @@ import pytest
 from ca.approvals.passkeys import Passkey
 from rossec.authority.home import AuthorityHome
 from rossec.cli import phones as module
-from rossec.console.options import write_address
+from rossec.console.listening import write_address
 from tests.support.commands import Shell, refused
 from tests.support.keyservice import running_service
 

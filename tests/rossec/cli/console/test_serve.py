@@ -12,7 +12,7 @@ import pytest
 
 from rossec.authority.home import AuthorityHome
 from rossec.cli import console as module
-from rossec.console.options import NAME
+from rossec.console.listening import NAME
 from tests.support.commands import Said, Shell, refused
 from tests.support.keyservice import running_service
 from tests.support.ports import free_port
