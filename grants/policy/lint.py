@@ -26,7 +26,7 @@ from grants.policy.lint_findings import (
     limiting,
     replacing,
 )
-from grants.policy.lint_views import Aspect, LayoutOf, Precision, Scene, View, too_fine, too_small
+from grants.policy.lint_views import Aspect, LayoutOf, LintedPolicy, Precision, View, too_fine, too_small
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, SubjectPattern
 from grants.policy.names import NODE, any_node, gives, includes, intersects, is_own, speaks_for_others
 from grants.vocabulary.assess import filters_of
@@ -45,15 +45,15 @@ _DENSE: Final = (Aspect.POSITION, Aspect.SURROUNDINGS)
 
 # Floors of parameters are what sensors err anyway, or what the attackers of docs/spec/policy.md, "Lint",
 # needed.
-def parameters(scene: Scene) -> Iterator[LintFinding]:
-    for view in scene.all_views:
+def parameters(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for view in linted.all_views:
         for rule, paths in _treated(view).items():
             if (advise := _OPERATORS.get(rule.operator)) is not None:
                 yield from advise(view, rule, paths)
 
 
-def rates(scene: Scene) -> Iterator[LintFinding]:
-    for view in scene.all_views:
+def rates(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for view in linted.all_views:
         coarse = any(view.filter_on(path).operator in _CELLS for path in view.coarse(Aspect.POSITION))
         coarse = coarse or bool(view.coarse(Aspect.IMAGE))
         if view.has_slot or not (coarse or view.is_empty):
@@ -175,20 +175,20 @@ _OPERATORS: Final[dict[str, Callable[[View, FilterRule, list[str]], Iterator[Lin
 }
 
 
-def reasons_and_times(scene: Scene) -> Iterator[LintFinding]:
-    for rule in scene.policy.rules:
+def reasons_and_times(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for rule in linted.policy.rules:
         if not rule.why:
             yield _of(rule, "no-reason", "gives no reason", "add why: ...")
         if rule.effect is Effect.DENY:
             continue
-        if not rule.has_lifetime and not scene.policy.defaults.has_lifetime:
+        if not rule.has_lifetime and not linted.policy.defaults.has_lifetime:
             yield _of(rule, "no-lifetime", "has no lifetime", "add lifetime: to the rule or to defaults")
         if max(rule.lifetime, rule.renew_until) > _LONG:
             yield _of(rule, "long-lifetime", "holds for more than a year", "shorten it")
 
 
-def width(scene: Scene) -> Iterator[LintFinding]:
-    for rule in _giving(scene):
+def width(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for rule in _giving(linted):
         for clause in rule.clauses:
             pattern, nodes = clause.pattern, {who.node for who in rule.who if who.node is not None}
             bases = [(who.node or "*").removesuffix("/**") for who in rule.who]
@@ -210,8 +210,8 @@ def width(scene: Scene) -> Iterator[LintFinding]:
                 yield _of(rule, "speaks-for-others", message, hint, ": ", *changes)
 
 
-def stale(scene: Scene) -> Iterator[LintFinding]:
-    for rule in _giving(scene):
+def stale(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for rule in _giving(linted):
         if rule.keep_when_stale:
             what = ", ".join(sorted({clause.pattern for clause in rule.clauses}))
             message = f"if revocation data is withheld, {what} stays connected"
@@ -219,10 +219,10 @@ def stale(scene: Scene) -> Iterator[LintFinding]:
             yield _of(rule, "keep-when-stale", message, hint, ": ")
 
 
-def shadowed(scene: Scene) -> Iterator[LintFinding]:
-    denials = [rule for rule in scene.policy.rules if rule.effect is Effect.DENY]
-    allowing = [rule for rule in scene.policy.rules if rule.effect is Effect.ALLOW]
-    for rule in _giving(scene):
+def shadowed(linted: LintedPolicy) -> Iterator[LintFinding]:
+    denials = [rule for rule in linted.policy.rules if rule.effect is Effect.DENY]
+    allowing = [rule for rule in linted.policy.rules if rule.effect is Effect.ALLOW]
+    for rule in _giving(linted):
         stronger = [*denials, *(allowing if rule.effect is Effect.PROMPT else ())]
         for clause in rule.clauses:
             other = next((each for each in stronger if _always_decides(each, rule, clause)), None)
@@ -256,8 +256,8 @@ def _is_wider(one: SubjectPattern, other: SubjectPattern) -> bool:
     return one.node is None or (other.node is not None and includes(one.node, other.node))
 
 
-def unused(scene: Scene) -> Iterator[LintFinding]:
-    policy = scene.policy
+def unused(linted: LintedPolicy) -> Iterator[LintFinding]:
+    policy = linted.policy
     used = {who.label for rule in policy.rules for who in (*rule.who, *rule.exceptions)}
     clauses = [clause for rule in policy.rules for clause in rule.clauses]
     filtered = {clause.restriction.filters for clause in clauses if clause.restriction is not None}
@@ -278,8 +278,8 @@ def unused(scene: Scene) -> Iterator[LintFinding]:
             yield LintFinding(0, "unused-type", message, "remove it, or correct the name")
 
 
-def _giving(scene: Scene) -> Iterator[PolicyRule]:
-    return (rule for rule in scene.policy.rules if rule.effect is not Effect.DENY)
+def _giving(linted: LintedPolicy) -> Iterator[PolicyRule]:
+    return (rule for rule in linted.policy.rules if rule.effect is not Effect.DENY)
 
 
 def _of(
@@ -290,10 +290,10 @@ def _of(
 
 # That a message comes says that the condition held: of a position that is cleared, `x < 5` told the
 # crossing to 0.13 s (docs/spec/policy.md, "Lint"), and `frame_id == "map"` tells a cleared name.
-def oracles(scene: Scene) -> Iterator[LintFinding]:
+def oracles(linted: LintedPolicy) -> Iterator[LintFinding]:
     read = (
         (view, rule, text, path)
-        for view in scene.all_views
+        for view in linted.all_views
         for rule, clause in zip(view.verdict.rules, view.verdict.clauses, strict=True)
         for text in (clause.restriction.conditions if clause.restriction and view.filters else ())
         for path in fields_read(text)
@@ -307,7 +307,7 @@ def oracles(scene: Scene) -> Iterator[LintFinding]:
         yield LintFinding(rule.line, "condition-tells", message, hint, (Suggestion(rule.id, without=text),))
 
 
-CHECKS: Final[tuple[Callable[[Scene], Iterator[LintFinding]], ...]] = (
+CHECKS: Final[tuple[Callable[[LintedPolicy], Iterator[LintFinding]], ...]] = (
     reasons_and_times,
     width,
     stale,
@@ -335,5 +335,5 @@ CHECKS: Final[tuple[Callable[[Scene], Iterator[LintFinding]], ...]] = (
 
 def lint(policy: Policy, layout_of: LayoutOf) -> list[LintFinding]:
     """All advice on `policy`, in the order of the file, each piece once."""
-    scene = Scene(policy, layout_of)
-    return sorted({finding for check in CHECKS for finding in check(scene)})
+    linted = LintedPolicy(policy, layout_of)
+    return sorted({finding for check in CHECKS for finding in check(linted)})

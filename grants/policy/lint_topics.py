@@ -12,7 +12,7 @@ from ca.names import is_alias
 from grants.filters.layout import Array
 from grants.model import FilterRule, Right, Scalar
 from grants.policy.lint_findings import LintFinding, closing, closing_all, coarsening, replacing
-from grants.policy.lint_views import Aspect, LintReceiver, Scene, View, conventional
+from grants.policy.lint_views import Aspect, LintedPolicy, LintReceiver, View, conventional
 
 _PLACES: Final = (Aspect.POSITION, Aspect.JOINT)
 # A rounded position with an exact twist is the path to 0.05 m; a rounded joint with an exact velocity is the
@@ -29,8 +29,8 @@ _BESIDE: Final[dict[Aspect, tuple[str, str]]] = {
 _CELLS: Final = (Aspect.TIME, Aspect.COUNT)  # without a value there are no cells to change
 
 
-def beside_position(scene: Scene) -> Iterator[LintFinding]:
-    for view in _views(scene):
+def beside_position(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for view in _views(linted):
         treated = view.treated(*_PLACES)
         coarse = view.coarse(*_PLACES)
         for aspect, (code, why) in _BESIDE.items() if treated else ():
@@ -39,25 +39,25 @@ def beside_position(scene: Scene) -> Iterator[LintFinding]:
                 yield _open(view, code, treated[0], open_fields, why)
 
 
-def other_coordinates(scene: Scene) -> Iterator[LintFinding]:
+def other_coordinates(linted: LintedPolicy) -> Iterator[LintFinding]:
     """One coordinate filtered, another not; a height indoors does not change."""
-    for view in _views(scene):
+    for view in _views(linted):
         treated = view.treated(Aspect.POSITION)
         rest = [path for path in view.exact(Aspect.POSITION) if not path.endswith(".z")]
         if treated and rest:
             yield _open(view, "position-open", treated[0], rest, "it shows the place as well")
 
 
-def other_names(scene: Scene) -> Iterator[LintFinding]:
-    for view in _views(scene):
+def other_names(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for view in _views(linted):
         treated, rest = view.treated(Aspect.NAME), view.exact(Aspect.NAME)
         if treated and rest:
             why = "a name that occurs once links all that is said of it"
             yield _open(view, "name-open", treated[0], rest, why)
 
 
-def _views(scene: Scene) -> Iterator[View]:
-    return (view for views in scene.views.values() for view in views if view.filters)
+def _views(linted: LintedPolicy) -> Iterator[View]:
+    return (view for views in linted.views.values() for view in views if view.filters)
 
 
 def _open(view: View, code: str, hidden: str, open_fields: list[str], why: str) -> LintFinding:
@@ -101,8 +101,8 @@ _EVERYWHERE: Final = (
 )
 
 
-def related(scene: Scene) -> Iterator[LintFinding]:
-    for views in scene.views.values():
+def related(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for views in linted.views.values():
         found: dict[tuple[str, str], tuple[View, View, list[str]]] = {}
         for row in RELATED:
             hidden = next((view for view in views if _is_hidden(view, row)), None)
@@ -149,9 +149,9 @@ def _begin(view: View, how: str = "coarsely") -> str:
     return f"rule {view.rule.id}: {view.receiver.label} sees {view.topic} {how}"
 
 
-def presence(scene: Scene) -> Iterator[LintFinding]:
+def presence(linted: LintedPolicy) -> Iterator[LintFinding]:
     """Topics of the same place that are not in slots, beside one that is."""
-    for views in scene.views.values():
+    for views in linted.views.values():
         slotted = next((view for view in views if view.hides_presence), None)
         for view in views if slotted is not None else ():
             # Those of one robot, by the folder of their names; not what tells nothing.
@@ -167,31 +167,31 @@ def presence(scene: Scene) -> Iterator[LintFinding]:
             yield LintFinding(slotted.rule.line, "presence-open", message, hint)
 
 
-def services(scene: Scene) -> Iterator[LintFinding]:
-    for receiver, _, coarse in _coarse(scene, Aspect.POSITION):
+def services(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for receiver, _, coarse in _coarse(linted, Aspect.POSITION):
         named = {
             found.pattern
-            for rule in scene.decider.rules_of(receiver.subject)
+            for rule in linted.decider.rules_of(receiver.subject)
             for clause in rule.clauses
             if clause.right is Right.CALL and (found := clause.of(receiver.subject)) is not None
         }
         told = {name for name in named if name.rpartition("/")[2] in _ASKED and "*" not in name}
         for name in sorted(told | set(_EVERYWHERE)):
-            verdict = scene.decider.decide(receiver.subject, Right.CALL, name)
+            verdict = linted.decider.decide(receiver.subject, Right.CALL, name)
             if verdict and not name.startswith(f"{receiver.subject.name}/"):
                 message = f"{_begin(coarse)}, but may call {name}, which tells it"
                 hint = f"take {verdict.clauses[0].pattern} out, or name the services it needs"
                 yield LintFinding(verdict.rules[0].line, "service-tells", message, hint)
 
 
-def graph(scene: Scene) -> Iterator[LintFinding]:
+def graph(linted: LintedPolicy) -> Iterator[LintFinding]:
     """The right to see the graph: who publishes, since when, how many messages, also withheld."""
-    for receiver, views in scene.views.items():
+    for receiver, views in linted.views.items():
         hidden = next((view for view in views if view.has_slot or view.treated(Aspect.NAME)), None)
         coarse = hidden or _first_treated(views, Aspect.POSITION)
         if coarse is None:
             continue
-        verdict = scene.decider.decide(receiver.subject, Right.GRAPH, coarse.topic)
+        verdict = linted.decider.decide(receiver.subject, Right.GRAPH, coarse.topic)
         if verdict:
             told = "who publishes it, when, and how many messages"
             message = f"{_begin(coarse)}, but its right to the graph tells {told}"
@@ -212,25 +212,25 @@ _SHOWN_BY: Final[dict[Aspect, tuple[Aspect, ...]]] = {
 }
 
 
-def relatives(scene: Scene) -> Iterator[LintFinding]:
-    for views in scene.views.values():
+def relatives(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for views in linted.views.values():
         for aspect, others in _SHOWN_BY.items():
             if (coarse := _first_treated(views, aspect)) is not None:
                 yield from _exact(coarse, views, aspect, others)
 
 
-def saved_poses(scene: Scene) -> Iterator[LintFinding]:
+def saved_poses(linted: LintedPolicy) -> Iterator[LintFinding]:
     """The parameter in which localisation saves where the robot is, twice a second."""
-    for receiver, _, coarse in _coarse(scene, Aspect.POSITION):
-        verdict = scene.decider.decide(receiver.subject, Right.PARAM_GET, SAVED_POSE)
+    for receiver, _, coarse in _coarse(linted, Aspect.POSITION):
+        verdict = linted.decider.decide(receiver.subject, Right.PARAM_GET, SAVED_POSE)
         if verdict:
             message = f"{_begin(coarse)}, but may read {SAVED_POSE}, where amcl saves the position"
             hint = f"name the parameters it needs instead of {verdict.clauses[0].pattern}"
             yield LintFinding(verdict.rules[0].line, "exact-relative", message, hint)
 
 
-def unknown(scene: Scene) -> Iterator[LintFinding]:
-    for _, views, coarse in _coarse(scene, Aspect.POSITION, Aspect.IMAGE):
+def unknown(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for _, views, coarse in _coarse(linted, Aspect.POSITION, Aspect.IMAGE):
         told = {view.pattern for view in views if view.is_below_pattern}
         for view in views:
             is_own = view.topic.startswith(f"{view.receiver.subject.name}/")
@@ -253,9 +253,9 @@ def _first_treated(views: Iterable[View], *aspects: Aspect) -> View | None:
     return next((view for view in views if view.treated(*aspects)), None)
 
 
-def _coarse(scene: Scene, *aspects: Aspect) -> Iterator[tuple[LintReceiver, list[View], View]]:
+def _coarse(linted: LintedPolicy, *aspects: Aspect) -> Iterator[tuple[LintReceiver, list[View], View]]:
     # The receivers to whom a treated topic is to hide one of `aspects`, and the first such topic.
-    for receiver, views in scene.views.items():
+    for receiver, views in linted.views.items():
         if (coarse := _first_treated(views, *aspects)) is not None:
             yield receiver, views, coarse
 
@@ -276,13 +276,13 @@ def _exact(
         yield LintFinding(coarse.rule.line, "exact-relative", message, hint, suggestions)
 
 
-def second_receivers(scene: Scene) -> Iterator[LintFinding]:
-    for one, other in _of_one_owner(list(scene.views)):
-        coarse = _first_treated(scene.views[one], Aspect.POSITION)
-        if coarse is None or _first_treated(scene.views[other], Aspect.POSITION) is not None:
+def second_receivers(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for one, other in _of_one_owner(list(linted.views)):
+        coarse = _first_treated(linted.views[one], Aspect.POSITION)
+        if coarse is None or _first_treated(linted.views[other], Aspect.POSITION) is not None:
             continue  # two versions, or an exact relative of the other itself
-        known = {view.topic for view in scene.views[one]} - {coarse.topic}
-        for view in scene.views[other]:
+        known = {view.topic for view in linted.views[one]} - {coarse.topic}
+        for view in linted.views[other]:
             shows = view.shows(Aspect.POSITION, *_SHOWN_BY[Aspect.POSITION])
             if shows and view.topic not in known:
                 hint, suggestions = coarsening(view)
@@ -290,11 +290,11 @@ def second_receivers(scene: Scene) -> Iterator[LintFinding]:
                 yield LintFinding(coarse.rule.line, "second-receiver", message, hint, suggestions)
 
 
-def versions(scene: Scene) -> Iterator[LintFinding]:
+def versions(linted: LintedPolicy) -> Iterator[LintFinding]:
     """Two grids of one position, of which one is not a multiple of the other."""
     grids = {
         receiver: [(view, _step(view)) for view in views if _step(view) or _plan(view)]
-        for receiver, views in scene.views.items()
+        for receiver, views in linted.views.items()
     }
     gridded = [receiver for receiver, found in grids.items() if found]
     for one, other in (*zip(gridded, gridded, strict=True), *_of_one_owner(gridded)):
@@ -361,9 +361,9 @@ def _of_one_owner(receivers: list[LintReceiver]) -> Iterator[tuple[LintReceiver,
             yield one, other
 
 
-def pseudonyms(scene: Scene) -> Iterator[LintFinding]:
+def pseudonyms(linted: LintedPolicy) -> Iterator[LintFinding]:
     first: dict[object, View] = {}
-    for views in scene.views.values():
+    for views in linted.views.values():
         for view in views:
             for rule in view.filters:
                 key = dict(rule.parameters).get("key")
@@ -387,8 +387,8 @@ def _shared(one: View, other: View, rule: FilterRule) -> LintFinding:
     return LintFinding(place.line, "shared-pseudonym", message, f"write {hint}", suggestions)
 
 
-def wheels(scene: Scene) -> Iterator[LintFinding]:
-    for _, views, coarse in _coarse(scene, Aspect.POSITION):
+def wheels(linted: LintedPolicy) -> Iterator[LintFinding]:
+    for _, views, coarse in _coarse(linted, Aspect.POSITION):
         for view in views:
             if found := view.coarse(Aspect.JOINT):
                 message = f"{_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"

@@ -311,7 +311,7 @@ def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:
 
 # Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other.
 @dataclass(frozen=True)
-class Scene:
+class LintedPolicy:
     policy: Policy
     layout_of: LayoutOf
     _layouts: dict[str, Layout] = field(default_factory=dict)

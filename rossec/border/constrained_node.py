@@ -21,7 +21,7 @@ from ca.revocation.lists import digest
 from ca.revocation.trust_status import TrustStatus
 from rossec import clock, errors
 from rossec.channel.edhoc.credentials import LiveCredentials
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.suites import OFFERED_SUITES
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
@@ -60,7 +60,7 @@ class SharedIdentity:
     held_list: Callable[[], bytes]  # the signed revocation list
     persist: Callable[[bytes], None]  # stores such a list, durably
     master: str = MASTER
-    suites: tuple[int, ...] = PRODUCTION
+    suites: tuple[int, ...] = OFFERED_SUITES
     turns: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_A_TIME))
     half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HALF_OPEN))
     tasks: TaskSet = field(default_factory=TaskSet)  # of all of them; each ends soon

@@ -124,7 +124,7 @@ class Connection(Generic[PeerT]):
         With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of its own:
         for an address where a known peer was reached before. `OwnCredentialUnknown` and
         `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`. With
-        `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
+        `self_connections`, which this node's listeners share, it means to reach itself, and no other peer is
         accepted. With `renews` the peer is told that renewed certificates and grants are taken here.
         """
         edhoc, preamble = Initiator(config), negotiation.Preamble(opening, None)
@@ -141,8 +141,9 @@ class Connection(Generic[PeerT]):
         accept: Collection[WireProtocol] = _BOTH,
         limits: ChannelLimits = _DEFAULTS,
     ) -> Self:
-        """The side that was connected to; `accept` says which openings are accepted. With `own_dials` this
-        node may connect to itself, for dials noted there. `renews`: as for the initiator."""
+        """The side that was connected to; `accept` says which openings are accepted. With
+        `self_connections` this node may connect to itself, for dials noted there. `renews`: as for the
+        initiator."""
         preamble = negotiation.Preamble(WireProtocol.TCPROS, accept)
         return cls(preamble, negotiation.Negotiation(Responder(config)), now, limits, FIRST)
 

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 from ca.certificates import Identity
 from rossec import clock, errors
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.suites import OFFERED_SUITES
 from rossec.channel.negotiation import Renewal
 from rossec.channel.opening import MAX_DRAIN, PlainCaller, WireProtocol, classify_caller
 from rossec.home import NodeHome
@@ -87,7 +87,7 @@ class LockedAccess:
 
 class LocalIdentity(LoadedIdentity):
     def __init__(
-        self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION, master: str = names.MASTER
+        self, home: NodeHome, name: str, suites: tuple[int, ...] = OFFERED_SUITES, master: str = names.MASTER
     ) -> None:
         super().__init__(home, name, master)
         self.live_context = SecureContext(

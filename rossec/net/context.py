@@ -23,13 +23,13 @@ from rossec.channel.edhoc.credentials import (
     KnownCertificates,
     LiveCredentials,
     OwnCredential,
-    OwnDials,
     PeerT,
     Renews,
+    SelfConnections,
     Verify,
 )
 from rossec.channel.edhoc.handshake import EdhocConfig
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.suites import OFFERED_SUITES
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.net.limits import ACCEPTED, DIALLED, HalfOpenCount, HalfOpenLimits
@@ -65,9 +65,11 @@ class SecureContext(Generic[PeerT]):
     credentials: OwnCredential  # `LiveCredentials` are read at each handshake
     verify: Verify[PeerT]  # of every peer
     _: KW_ONLY
-    suites: tuple[int, ...] = PRODUCTION  # the policy (`rossec.channel.edhoc.suites.POST_QUANTUM`)
+    suites: tuple[int, ...] = OFFERED_SUITES  # the policy (`rossec.channel.edhoc.suites.POST_QUANTUM`)
     known: KnownCertificates | None = None  # with it, known peers' certificates are named by a hash (x5t)
-    own_dials: OwnDials = field(default_factory=OwnDials)  # to itself, which its ports accept
+    self_connections: SelfConnections = field(
+        default_factory=SelfConnections
+    )  # to itself, which its ports accept
     dial_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: DIALLED)
     accept_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: ACCEPTED)
     half_open: HalfOpenCount = field(
@@ -85,17 +87,19 @@ class SecureContext(Generic[PeerT]):
     ) -> Connection[PeerT]:
         """The core of a connection that this side made; as `Connection.initiator`. `to_itself`: the peer must
         be this identity in this process; else it must be another one."""
-        dials = self.own_dials if to_itself else None
+        dials = self.self_connections if to_itself else None
         config = self._config(dials, request_x5t=request_x5t)
         limits = self.dial_limits[protocol]
         return self._kept(Connection.initiator(config, now=clock.now(), opening=protocol, limits=limits))
 
     def responder(self, protocol: WireProtocol) -> Connection[PeerT]:
         """The core of an accepted connection, which must open in `protocol`."""
-        config, limits = self._config(self.own_dials), self.accept_limits[protocol]
+        config, limits = self._config(self.self_connections), self.accept_limits[protocol]
         return self._kept(Connection.responder(config, now=clock.now(), accept=(protocol,), limits=limits))
 
-    def _config(self, own_dials: OwnDials | None, *, request_x5t: bool = False) -> EdhocConfig[PeerT]:
+    def _config(
+        self, self_connections: SelfConnections | None, *, request_x5t: bool = False
+    ) -> EdhocConfig[PeerT]:
         return EdhocConfig(
             self.credentials,
             self.verify,
@@ -103,7 +107,7 @@ class SecureContext(Generic[PeerT]):
             self.suites,
             known=self.known,
             request_x5t=request_x5t,
-            own_dials=own_dials,
+            self_connections=self_connections,
             renews=self.renews,
         )
 

@@ -12,7 +12,7 @@ from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames as frames
 from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, LinkFrame, LinkFrameKind
-from rossec.overlay.link_halves import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE, Receiver, Sender
+from rossec.overlay.link_sides import FIRST_WINDOW, KEEPALIVE, LINGER, PROGRESS_TIMEOUT, Receiver, Sender
 
 AMPLIFICATION: Final = 3
 _HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
@@ -227,7 +227,7 @@ class Link:
     # -- ends
 
     def validated(self) -> None:
-        # Both sides call it; a side that never does is over after `SILENCE`.
+        # Both sides call it; a side that never does is over after `PROGRESS_TIMEOUT`.
         if not self._validated and self.state not in ENDED:
             self._validated = True
             self._receiver.widen(self._began)
@@ -290,7 +290,7 @@ class Link:
         since = self.silent_since
         if not self._validated and (since is None or self._began < since):
             since = self._began
-        return None if since is None or self.state is LinkState.IDLE else since + SILENCE
+        return None if since is None or self.state is LinkState.IDLE else since + PROGRESS_TIMEOUT
 
     def tick(self, now: float) -> None:
         if self.state in ENDED:
@@ -299,7 +299,7 @@ class Link:
         if over is not None and now >= over:
             self._out = [self.reset()]
             raise LinkEnded(
-                f"no progress on a link for {SILENCE:.0f} s",
+                f"no progress on a link for {PROGRESS_TIMEOUT:.0f} s",
                 "is the other relay running, and is a router reached from both?",
             )
         if self._end_at is not None and now >= self._end_at:

@@ -29,7 +29,7 @@ _WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and 
 _LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
 FIRST: Final = 256 * 1024  # bytes
 MOST: Final = 4 * 1024 * 1024  # the window of a link
-FUND: Final = 32 * 1024 * 1024
+BUDGET: Final = 32 * 1024 * 1024
 SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
 STREAMS: Final = 256
 FOR_ONE_NAME: Final = STREAMS // 2
@@ -177,12 +177,12 @@ class _Reader:
         return value
 
 
-class Fund:
+class WindowBudget:
     """Bytes that the windows of one link may have beyond their first ones."""
 
     __slots__ = ("left",)
 
-    def __init__(self, left: int = FUND) -> None:
+    def __init__(self, left: int = BUDGET) -> None:
         self.left = left
 
 
@@ -192,12 +192,12 @@ class ReceiveWindow:
     `allowed` and `held` (bytes that arrived and were not taken) are never more than `size`.
     """
 
-    __slots__ = ("_began", "_fund", "_taken", "allowed", "held", "size")
+    __slots__ = ("_began", "_budget", "_taken", "allowed", "held", "size")
 
-    def __init__(self, fund: Fund) -> None:
+    def __init__(self, budget: WindowBudget) -> None:
         self.size = self.allowed = FIRST
         self.held = 0
-        self._fund = fund
+        self._budget = budget
         self._began = 0.0  # when the round began in which `_taken` bytes were taken
         self._taken = 0
 
@@ -220,7 +220,7 @@ class ReceiveWindow:
             if self.held > self.size // 2:  # a program that lags gets no credit until it has shrunk
                 self._resize(max(FIRST, self.size // 2, self.allowed + self.held))
             elif wanted > self.size and self.held == 0:
-                self._resize(min(wanted, 2 * self.size, MOST, self.size + self._fund.left))
+                self._resize(min(wanted, 2 * self.size, MOST, self.size + self._budget.left))
         credit = self.size - self.allowed - self.held
         if credit < self.size // 4:
             return 0
@@ -228,7 +228,7 @@ class ReceiveWindow:
         return credit
 
     def _resize(self, size: int) -> None:
-        self._fund.left -= size - self.size
+        self._budget.left -= size - self.size
         self.size = size
 
     def close(self) -> None:
@@ -295,7 +295,7 @@ class Mux:
     def __init__(self, role: Role, first: int = 0) -> None:
         self._streams: dict[int, _Stream] = {}
         self._for_name: Counter[StreamTarget] = Counter()
-        self._fund = Fund()
+        self._budget = WindowBudget()
         self._abandoned: set[int] = set()  # over, and still being connected at the called side
         self._next = first
         self._caller = role is Role.CALLER
@@ -342,7 +342,7 @@ class Mux:
     def _add(self, target: StreamTarget, now: float) -> int:
         number = self._next
         self._next += 1
-        self._streams[number] = _Stream(target, now, ReceiveWindow(self._fund), connecting=not self._caller)
+        self._streams[number] = _Stream(target, now, ReceiveWindow(self._budget), connecting=not self._caller)
         self._for_name[target] += 1
         return number
 

@@ -17,7 +17,7 @@ from ca.names import check_name, shown
 from grants.model import Right
 from rossec import clock, environment
 from rossec.channel.edhoc.credentials import KnownCertificates
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.suites import OFFERED_SUITES
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, HangUp, PeerUnreachable
 from rossec.home import NodeHome
@@ -123,7 +123,7 @@ class Agent:
         callers: Callers,
         master_uri: str,
         half_open: HalfOpenCount,
-        suites: tuple[int, ...] = PRODUCTION,
+        suites: tuple[int, ...] = OFFERED_SUITES,
         master_name: str = MASTER,
     ) -> None:
         self.home, self.callers, self._settings = home, callers, settings
@@ -270,7 +270,7 @@ class Sidecar:
         identity: str | None = None,
         each: bool = False,
         port: int = 0,
-        suites: tuple[int, ...] = PRODUCTION,
+        suites: tuple[int, ...] = OFFERED_SUITES,
         master_name: str = MASTER,
     ) -> None:
         self._home, self._settings, self._callers = home, settings, callers

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from ca.errors import CAError
 from ca.keys.signing import KeySigner
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, OwnDials, PeerT, Renews
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, PeerT, Renews, SelfConnections
 from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.negotiation import Authenticated, Event, UnitReceived
 from rossec.channel.opening import WireProtocol
@@ -102,7 +102,7 @@ def alice(
     suites: tuple[int, ...] = (6,),
     known: KnownCertificates | None = None,
     request_x5t: bool = False,
-    own_dials: OwnDials | None = None,
+    self_connections: SelfConnections | None = None,
     renews: Renews[FakeIdentity] | None = None,
 ) -> Connection[FakeIdentity]:
     """An initiator."""
@@ -113,7 +113,7 @@ def alice(
         suites,
         known=known,
         request_x5t=request_x5t,
-        own_dials=own_dials,
+        self_connections=self_connections,
         renews=renews,
     )
     return Connection[FakeIdentity].initiator(config, now=NOW, opening=opening, limits=limits)
@@ -125,12 +125,12 @@ def bob(
     suites: tuple[int, ...] = (6,),
     accept: frozenset[WireProtocol] = frozenset(WireProtocol),
     known: KnownCertificates | None = None,
-    own_dials: OwnDials | None = None,
+    self_connections: SelfConnections | None = None,
     renews: Renews[FakeIdentity] | None = None,
 ) -> Connection[FakeIdentity]:
     """A responder."""
     config = EdhocConfig(
-        credentials, trust, dice("bob"), suites, known=known, own_dials=own_dials, renews=renews
+        credentials, trust, dice("bob"), suites, known=known, self_connections=self_connections, renews=renews
     )
     return Connection[FakeIdentity].responder(config, now=NOW, limits=limits, accept=accept)
 

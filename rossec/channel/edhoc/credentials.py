@@ -164,7 +164,7 @@ class Dial:
     g_y: bytes | None = None
 
 
-class OwnDials:
+class SelfConnections:
     """The pending dials of one node that are meant for itself; threads may share it.
 
     ROS programs subscribe to their own topics and call their own services. Anywhere else the own certificate

@@ -18,7 +18,7 @@ from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.edhoc.suites import (
     GONE,
     HASH_LENGTH,
-    PRODUCTION,
+    OFFERED_SUITES,
     SIGNATURE_LENGTH,
     SUITES,
     Aead,
@@ -62,10 +62,10 @@ class EdhocConfig(Generic[PeerT]):
     credential: credentials.OwnCredential
     verify: credentials.Verify[PeerT]
     random: Random
-    suites: tuple[int, ...] = PRODUCTION
+    suites: tuple[int, ...] = OFFERED_SUITES
     find_chain: credentials.FindChain = credentials.x5chain
     known: credentials.KnownCertificates | None = None  # with it, certificates may be named by x5t
-    own_dials: credentials.OwnDials | None = None  # with it, an initiator means to reach this node itself
+    self_connections: credentials.SelfConnections | None = None  # with it, an initiator means itself
     request_x5t: bool = False  # an initiator's: ask the responder for an x5t
     ead: bytes = b""
     renews: credentials.Renews[PeerT] | None = None  # with it, this side takes renewals, and says so
@@ -164,7 +164,7 @@ class EdhocPeer(Generic[PeerT]):
             kind = ForeignIdentity if isinstance(error, ForeignCertificate) else IdentityRefused
             raise kind(text, error.hint) from error
         # The key is compared: a renewed certificate has the same.
-        own, dials = self.config.credential.current, self.config.own_dials
+        own, dials = self.config.credential.current, self.config.self_connections
         is_own_key = peer.public_key == own.signer.public_key
         is_itself = is_own_key and dials is not None and dials.is_own(self._g_x, self._g_y)
         if is_own_key and not (is_itself or own.shared):
@@ -207,8 +207,8 @@ class Initiator(EdhocPeer[PeerT]):
         # 2. An ephemeral key, and G_X.
         self._finish_exchange: Finish | None
         self._finish_exchange, self._g_x = self.suite.exchange.start(config.random)
-        if config.own_dials is not None:
-            self._dial = config.own_dials.begin(self._g_x)
+        if config.self_connections is not None:
+            self._dial = config.self_connections.begin(self._g_x)
         # 3. C_I; then METHOD, SUITES_I, G_X, C_I, and no EAD_1.
         c_i = C_I_X5T if config.request_x5t else config.c_i
         self._message_1 = messages.Message1(METHOD, suites, self._g_x, c_i).encode()
@@ -287,8 +287,8 @@ class Responder(EdhocPeer[PeerT]):
         # 1. An ephemeral key, G_Y, and the shared secret.
         g_y, shared = exchange.answer(config.random, parsed.g_x)
         self._g_x, self._g_y = parsed.g_x, g_y
-        if config.own_dials is not None:
-            config.own_dials.answer(parsed.g_x, g_y)
+        if config.self_connections is not None:
+            config.self_connections.answer(parsed.g_x, g_y)
         # 2. TH_2, PRK_2e.
         self._agree(shared, g_y, data)
         prk, th_2 = self._prk, self._th

@@ -1,8 +1,9 @@
 """The cipher suites of EDHOC (RFC 9528 section 3.6) as one table, and its key schedule (section 4).
 
-`PRODUCTION` is the policy; the other rows are implemented, not offered. The key exchange of a suite has the
-interface of a KEM (section 9.4), so a hybrid one fits without a change to the handshake. SHA-256 and method
-0 alone: both sides sign, so PRK_2e = PRK_3e2m = PRK_4e3m. Which secret exists when is decided in `handshake`.
+`OFFERED_SUITES` is the policy; the other rows are implemented, not offered. The key exchange of a suite has
+the interface of a KEM (section 9.4), so a hybrid one fits without a change to the handshake. SHA-256 and
+method 0 alone: both sides sign, so PRK_2e = PRK_3e2m = PRK_4e3m. Which secret exists when is decided in
+`handshake`.
 Python cannot wipe bytes: secrets are dropped as early as possible, no more is promised.
 """
 
@@ -183,10 +184,10 @@ SUITES: Final = {
     )
 }
 
-PRODUCTION: Final = (6,)
+OFFERED_SUITES: Final = (6,)
 """What this release offers and accepts, in order of preference."""
 
-POST_QUANTUM: Final = {"off": PRODUCTION, "prefer": (HYBRID, 6), "require": (HYBRID,)}
+POST_QUANTUM: Final = {"off": OFFERED_SUITES, "prefer": (HYBRID, 6), "require": (HYBRID,)}
 """The policies: `prefer` costs one round trip with a peer that has it `off`."""
 
 

@@ -25,7 +25,7 @@ from ca.names import shown
 from ca.revocation.lists import is_tree
 from ca.revocation.trust_status import Revocations
 from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.suites import OFFERED_SUITES
 from rossec.channel.records import ChannelLimits
 from rossec.home import NodeHome
 from rossec.host.addresses import is_near
@@ -67,7 +67,7 @@ class MasterServer:
         host: str | None = None,
         port: int = 11311,
         advertise: str = "localhost",
-        suites: tuple[int, ...] = PRODUCTION,
+        suites: tuple[int, ...] = OFFERED_SUITES,
         timestamp_every: float = TIMESTAMP_EVERY,
         check_own_identity: Callable[[int], None] = lambda _: None,
         nearby: maintenance.LocalAuthority | None = None,
@@ -242,7 +242,7 @@ def master_of(
     renewer: renewals.Renewer | None = None,
     on_denial: OnDenial = ignore_denial,
     limits: MasterLimits = _LIMITS,
-    suites: tuple[int, ...] = PRODUCTION,
+    suites: tuple[int, ...] = OFFERED_SUITES,
     find_revocations: maintenance.FindRevocations = maintenance.no_authority,
     find_domains: maintenance.FindDomains = maintenance.no_domains,
 ) -> MasterServer:

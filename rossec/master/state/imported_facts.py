@@ -102,7 +102,7 @@ class SiteFacts:
         self.types: dict[str, str] = {}  # types, providers: of topics and services, by local name
         self.providers: dict[str, Address] = {}
         self.is_lost = False  # there is no connection with the site; its facts stay for now
-        self.settled = -1  # the demand that its last complete answer was for (`Demand.version`)
+        self.settled = -1  # the demand that its last complete answer was for (`WantedNames.version`)
 
     def registration(self, fact: Fact) -> Registered | None:
         # What a fact about a registration is about here; None: another fact, or not usable.

@@ -41,7 +41,7 @@ EVERYTHING: Final[tuple[str, ...]] = ()
 NOTHING: Final = ("",)  # the empty name matches nothing
 
 
-class Demand:
+class WantedNames:
     """The names that local nodes want of other masters, as local names; `version` grows with them."""
 
     # Facts travel by need, as in the thesis (chapter 6). Wanted is what local nodes subscribe, and for a
@@ -125,7 +125,7 @@ class Imports:
 
     def __init__(self, registry: Registry, limit: int = FACTS_LIMIT) -> None:
         self.version = 0  # grows with every change
-        self.demand: Final = Demand(registry)  # what local nodes want of the sites
+        self.demand: Final = WantedNames(registry)  # what local nodes want of the sites
         self.mirrors: Final = Mirrors()  # parameters of the sites
         self.filter: Final = ImportFilter()  # what is taken from foreign domains at all
         self.on_settled: Callable[[], object] = lambda: None  # called when `is_settled` has become true

@@ -46,7 +46,7 @@ class _Work(NamedTuple, Generic[ResultT]):
     result: "asyncio.Future[ResultT]"
 
 
-class Rotation:
+class FairQueue:
     """What waits, in the order in which it has its turns: by the time that its group has used.
 
     The order is that of start-time fair queueing (Goyal, Vin, Cheng 1996): so what needs little
@@ -100,7 +100,7 @@ class LoopTurns:
         self._clock = clock
         self._length = length
         self._loop = asyncio.get_running_loop()
-        self._waiting = Rotation()
+        self._waiting = FairQueue()
         self._due = False
         self._pass_ends: float | None = None
         self._spent = 0.0  # seconds in this pass, for what was done at once

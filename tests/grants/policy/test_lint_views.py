@@ -3,19 +3,19 @@
 import pytest
 
 from grants.model import FilterRule
-from grants.policy.lint_views import Aspect, Precision, Scene, View, receivers, too_fine, too_small
+from grants.policy.lint_views import Aspect, LintedPolicy, Precision, View, receivers, too_fine, too_small
 from grants.policy.model import SubjectPattern
 from tests.grants.policy.lint_cases import layout_of, text_of
 from tests.grants.policy.lint_leaks import COARSE, KEY, filtered, pose
 from tests.grants.policy.policies import policy
 
 
-def scene(*lines: str, head: str = "", types: dict[str, str] | None = None) -> Scene:
-    return Scene(policy(text_of(*lines, head=head, types=types)), layout_of)
+def linted(*lines: str, head: str = "", types: dict[str, str] | None = None) -> LintedPolicy:
+    return LintedPolicy(policy(text_of(*lines, head=head, types=types)), layout_of)
 
 
 def view(*lines: str, topic: str = "/pose") -> View:
-    [views] = scene(*lines).views.values()
+    [views] = linted(*lines).views.values()
     return next(each for each in views if each.topic == topic)
 
 
@@ -29,7 +29,7 @@ def test_a_sample_for_each_subject() -> None:
 
 def test_a_sample_for_each_key_that_is_pinned() -> None:
     head = f"identities: {{i: {{node: '/*', key: '{KEY}'}}}}\n"
-    found = scene("id: a, who: [/y, i], allow: {call: /b}", head=head).views
+    found = linted("id: a, who: [/y, i], allow: {call: /b}", head=head).views
     assert {(each.subject.name, any(each.subject.key)) for each in found} == {
         ("/y", False),
         ("/y", True),
@@ -38,7 +38,7 @@ def test_a_sample_for_each_key_that_is_pinned() -> None:
 
 
 def test_topics_below_a_pattern() -> None:
-    [views] = scene(
+    [views] = linted(
         "id: a, who: /x, allow: {subscribe: ['/**']}", types={"/my/pose": "geometry_msgs/Pose"}
     ).views.values()
     topics = {each.topic: each for each in views}
@@ -48,13 +48,13 @@ def test_topics_below_a_pattern() -> None:
 
 
 def test_own_names_are_those_of_the_sample() -> None:
-    [views] = scene("id: a, who: '/r/*', allow: {subscribe: ['{node}/p']}").views.values()
+    [views] = linted("id: a, who: '/r/*', allow: {subscribe: ['{node}/p']}").views.values()
     assert [each.topic for each in views] == ["/r/x/p"]
 
 
 def test_what_is_denied_is_not_seen() -> None:
     lines = (COARSE, "id: d, who: '*', deny: {subscribe: [/pose]}")
-    assert list(scene(*lines).views.values()) == [[]]
+    assert list(linted(*lines).views.values()) == [[]]
 
 
 def test_what_is_left_of_fields() -> None:

@@ -1,12 +1,12 @@
 import pytest
 
-from rossec.channel.edhoc.suites import POST_QUANTUM, PRODUCTION
+from rossec.channel.edhoc.suites import OFFERED_SUITES, POST_QUANTUM
 from rossec.channel.opening import VARIABLE, post_quantum
 from rossec.errors import ConfigurationError
 
 
 def test_unset_is_the_suite_of_production() -> None:
-    assert post_quantum({}) == PRODUCTION
+    assert post_quantum({}) == OFFERED_SUITES
 
 
 @pytest.mark.parametrize("word", list(POST_QUANTUM))

@@ -115,7 +115,7 @@ def test_a_copy_shares_what_is_counted() -> None:
     own = SecureContext(ALICE, trust)
     renewed = dataclasses.replace(own, credentials=node("/alice"))
     assert renewed.half_open is own.half_open
-    assert renewed.own_dials is own.own_dials
+    assert renewed.self_connections is own.self_connections
     assert SecureContext(ALICE, trust).half_open is not own.half_open
 
 

@@ -5,7 +5,7 @@ import pytest
 from rossec.errors import LinkEnded
 from rossec.overlay.link import Link, LinkState
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, LinkFrameKind
-from rossec.overlay.link_halves import KEEPALIVE, SILENCE
+from rossec.overlay.link_sides import KEEPALIVE, PROGRESS_TIMEOUT
 from tests.support.linknet import ID, REPLY, LinkNetwork, opened
 
 
@@ -127,9 +127,9 @@ def test_a_link_without_progress_is_over() -> None:
     network.write(network.caller, b"never arrives")
     begin = network.now
     with pytest.raises(LinkEnded, match="no progress") as refused:
-        network.pass_time(SILENCE + 10)
+        network.pass_time(PROGRESS_TIMEOUT + 10)
     assert refused.value.hint
-    assert network.now - begin == pytest.approx(SILENCE, abs=0.5)
+    assert network.now - begin == pytest.approx(PROGRESS_TIMEOUT, abs=0.5)
     assert network.caller.at().state is LinkState.RESET
     assert network.caller.at().deadline() is None
     network.caller.at().tick(network.now)
@@ -153,7 +153,7 @@ def test_an_idle_link_whose_peer_is_gone_is_over() -> None:
     network = opened()
     network.cut = True
     with pytest.raises(LinkEnded):
-        network.pass_time(SILENCE + 3 * KEEPALIVE)
+        network.pass_time(PROGRESS_TIMEOUT + 3 * KEEPALIVE)
 
 
 def test_a_slow_application_closes_the_window_and_opens_it_again() -> None:

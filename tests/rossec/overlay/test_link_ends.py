@@ -6,7 +6,7 @@ from rossec.errors import LinkEnded
 from rossec.overlay import link_frames
 from rossec.overlay.link import Link, LinkState
 from rossec.overlay.link_frames import LinkFrameKind
-from rossec.overlay.link_halves import LINGER, SILENCE
+from rossec.overlay.link_sides import LINGER, PROGRESS_TIMEOUT
 from tests.support.linknet import ID, REPLY, frame, opened
 
 
@@ -46,7 +46,7 @@ def test_a_side_that_writes_to_one_that_is_done_is_over_in_time() -> None:
     network.run(lambda: network.caller.at().state is LinkState.DONE, within=LINGER + 1)
     network.write(network.called, b"nobody reads this")
     with pytest.raises(LinkEnded):
-        network.pass_time(SILENCE + 1)
+        network.pass_time(PROGRESS_TIMEOUT + 1)
 
 
 def test_a_lost_last_acknowledgement_ends_in_order() -> None:
@@ -56,7 +56,7 @@ def test_a_lost_last_acknowledgement_ends_in_order() -> None:
         network.flush(end)
     network.run(lambda: any(end.at().peer_ended for end in network.ends))
     network.cut = True
-    network.pass_time(LINGER + SILENCE)
+    network.pass_time(LINGER + PROGRESS_TIMEOUT)
     assert {end.at().state for end in network.ends} == {LinkState.DONE}
 
 

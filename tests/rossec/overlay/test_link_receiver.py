@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import LinkEnded
-from rossec.overlay.link_halves import ACK_DELAY, FIRST_WINDOW, MOST_WINDOW, Receiver
+from rossec.overlay.link_sides import ACK_DELAY, FIRST_WINDOW, MOST_WINDOW, Receiver
 
 STREAM = bytes(range(256)) * 16
 

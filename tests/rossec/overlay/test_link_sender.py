@@ -5,7 +5,7 @@ import pytest
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
 from rossec.overlay.link_frames import MAX_BODY, MAX_RANGES
-from rossec.overlay.link_halves import FIRST_WINDOW, MOST_FRAMES, Sender
+from rossec.overlay.link_sides import FIRST_WINDOW, MOST_FRAMES, Sender
 
 MANY = 1 << 30
 

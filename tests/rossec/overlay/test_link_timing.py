@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.overlay.link_halves import (
+from rossec.overlay.link_sides import (
     FIRST_WINDOW,
     LEAST_WAIT,
     LEAST_WINDOW,

@@ -8,7 +8,7 @@ from rossec.errors import LinkEnded
 from rossec.overlay import link_frames
 from rossec.overlay.link import AMPLIFICATION, Link
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, LinkFrameKind, refusal
-from rossec.overlay.link_halves import KEEPALIVE, SILENCE
+from rossec.overlay.link_sides import KEEPALIVE, PROGRESS_TIMEOUT
 from tests.support.linknet import REPLY, LinkNetwork, frame, opened
 
 
@@ -20,12 +20,12 @@ def test_an_open_with_a_forged_reply_key_is_not_amplified() -> None:
     link.write(bytes(100_000), 0.0)
     link.finish(0.0)
     octets = 0
-    for tenths in range(10 * int(SILENCE)):
+    for tenths in range(10 * int(PROGRESS_TIMEOUT)):
         octets += sum(map(len, link.frames_to_send(tenths / 10)))
         link.tick(tenths / 10)
     with pytest.raises(LinkEnded):
-        link.tick(SILENCE)
-    octets += sum(map(len, link.frames_to_send(SILENCE)))
+        link.tick(PROGRESS_TIMEOUT)
+    octets += sum(map(len, link.frames_to_send(PROGRESS_TIMEOUT)))
     assert octets <= AMPLIFICATION * len(first)
     assert octets > 2 * len(first), "it did answer"
 
@@ -51,8 +51,8 @@ def test_a_peer_that_is_never_authenticated_is_given_up() -> None:
         end.validates_at = 1 << 30
     network.write(network.caller, b"hello")
     with pytest.raises(LinkEnded, match="no progress"):
-        network.pass_time(SILENCE + 1)
-    assert network.now == pytest.approx(SILENCE, abs=0.5)
+        network.pass_time(PROGRESS_TIMEOUT + 1)
+    assert network.now == pytest.approx(PROGRESS_TIMEOUT, abs=0.5)
 
 
 # -- a relay that was started again

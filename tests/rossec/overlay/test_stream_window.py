@@ -8,17 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.overlay.mux import (
+    BUDGET,
     FIRST,
-    FUND,
     MAX_DATA,
     MOST,
     NODE,
     SHORTEST_ROUND,
-    Fund,
     Mux,
     ReceiveWindow,
     Role,
     StreamTarget,
+    WindowBudget,
 )
 
 ROUND_TRIP = 0.1
@@ -38,8 +38,8 @@ def after(start: float, rate: float) -> Taker:
 class Line:
     """A sender with no end of bytes, and a way of so many bytes a second, in simulated time."""
 
-    def __init__(self, rate: float, takes: Taker, fund: Fund | None = None) -> None:
-        self.window = ReceiveWindow(fund or Fund())
+    def __init__(self, rate: float, takes: Taker, budget: WindowBudget | None = None) -> None:
+        self.window = ReceiveWindow(budget or WindowBudget())
         self.now = 100.0
         self.taken = self.highest = self.longest_queue = 0
         self._takes = takes
@@ -131,23 +131,23 @@ def test_a_window_grows_again_after_a_pause() -> None:
 
 
 def test_windows_share_the_fund_and_return_it() -> None:
-    fund = Fund(MOST)
-    first, second = Line(100e6, always, fund), Line(100e6, always, fund)
+    budget = WindowBudget(MOST)
+    first, second = Line(100e6, always, budget), Line(100e6, always, budget)
     first.run(3)
     second.run(3)
     assert (first.window.size, second.window.size) == (MOST, FIRST + FIRST)
-    assert fund.left == 0
+    assert budget.left == 0
     first.window.close()
     second.run(3)
     assert second.window.size == MOST
     second.window.close()
-    assert fund.left == MOST
+    assert budget.left == MOST
 
 
 def test_a_stream_that_is_over_returns_what_its_window_had() -> None:
-    """As many streams as the fund has large windows for, one after the other, and one more."""
+    """As many streams as the budget has large windows for, one after the other, and one more."""
     caller, called = Mux(Role.CALLER), Mux(Role.CALLED)
-    for number in range(FUND // (MOST - FIRST) + 2):
+    for number in range(BUDGET // (MOST - FIRST) + 2):
         called.receive(caller.open(StreamTarget(NODE, "/robot"), number)[1], number)
         for unit in range(300):
             called.receive(caller.data(number, MAX_DATA) + bytes(MAX_DATA), number)
@@ -158,7 +158,7 @@ def test_a_stream_that_is_over_returns_what_its_window_had() -> None:
 
 
 def test_without_a_round_trip_windows_stay_as_they_are() -> None:
-    window = ReceiveWindow(Fund())
+    window = ReceiveWindow(WindowBudget())
     for number in range(1, 1000):
         window.arrived(FIRST)
         assert window.took(FIRST, number * 1e-6, 0.0) == FIRST
@@ -166,7 +166,7 @@ def test_without_a_round_trip_windows_stay_as_they_are() -> None:
 
 
 def test_a_round_is_not_shorter_than_programs_need_to_take_turns() -> None:
-    window = ReceiveWindow(Fund())
+    window = ReceiveWindow(WindowBudget())
     sizes = []
     for number in range(4):
         window.arrived(FIRST)
@@ -177,7 +177,7 @@ def test_a_round_is_not_shorter_than_programs_need_to_take_turns() -> None:
 
 
 def test_more_than_arrived_cannot_be_taken() -> None:
-    window = ReceiveWindow(Fund())
+    window = ReceiveWindow(WindowBudget())
     window.arrived(10)
     with pytest.raises(ValueError, match="more was taken than arrived"):
         window.took(11, 0, 0)
@@ -192,9 +192,9 @@ STEPS = st.lists(
 def test_no_order_of_events_gives_more_than_the_windows(
     steps: list[tuple[int, float, float, float]], round_trip_s: float
 ) -> None:
-    """`allowed` is what the peer was told; what may be kept is first windows and the fund."""
-    fund = Fund(5 * FIRST)
-    windows = [ReceiveWindow(fund) for _ in range(10)]
+    """`allowed` is what the peer was told; what may be kept is first windows and the budget."""
+    budget = WindowBudget(5 * FIRST)
+    windows = [ReceiveWindow(budget) for _ in range(10)]
     told = [FIRST] * 10
     now = 0.0
     for which, sent, taken, pause in steps:
@@ -207,8 +207,8 @@ def test_no_order_of_events_gives_more_than_the_windows(
         assert told[which] == window.allowed
         assert 0 <= window.allowed + window.held <= window.size <= MOST
         assert window.size >= FIRST
-        assert sum(each.size - FIRST for each in windows) == 5 * FIRST - fund.left <= 5 * FIRST
+        assert sum(each.size - FIRST for each in windows) == 5 * FIRST - budget.left <= 5 * FIRST
 
 
 def test_the_fund_of_a_link() -> None:
-    assert Fund().left == FUND == 8 * MOST
+    assert WindowBudget().left == BUDGET == 8 * MOST

@@ -5,7 +5,8 @@ import hashlib
 
 import pytest
 
-from rossec.authority.console.access import CODE_LIFETIME, MAX_CODES, MAX_FAILURES, PERIOD, Codes, CodeUse
+from rossec.authority.console.access import MAX_CODES, MAX_FAILURES, PERIOD, Codes, CodeUse
+from rossec.authority.console.messages import CODE_LIFETIME
 from rossec.errors import PhoneCodeRefused
 
 TERMINAL, PHONE = CodeUse.TERMINAL, CodeUse.PHONE

@@ -16,7 +16,7 @@ from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice.front_end import FrontEnd, Handler, InnerChannel, main
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.suites import OFFERED_SUITES
 from rossec.clock import now
 from rossec.enrollment.join import ask_name, join
 from rossec.errors import KeyServiceRefused
@@ -70,7 +70,7 @@ class Served:
 
 
 def face_of(node: NodeHome, join_address: str, master: str = "http://127.0.0.1:1/") -> FrontEnd:
-    return FrontEnd(node, join_address, master, PRODUCTION)
+    return FrontEnd(node, join_address, master, OFFERED_SUITES)
 
 
 @pytest.fixture

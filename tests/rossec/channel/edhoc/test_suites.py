@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.handshake import EdhocConfig
-from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM, PRODUCTION, SUITES
+from rossec.channel.edhoc.suites import HYBRID, OFFERED_SUITES, POST_QUANTUM, SUITES
 from rossec.channel.negotiation import ConnectionState
 from rossec.errors import HandshakeFailed
 from tests.support.wire import NOT_AFTER, NOW, dice, receive
@@ -85,7 +85,7 @@ def es256_signature(key: ec.EllipticCurvePrivateKey, message: bytes) -> bytes:
 
 
 def test_the_policies() -> None:
-    assert PRODUCTION == (6,)
+    assert OFFERED_SUITES == (6,)
     assert POST_QUANTUM == {"off": (6,), "prefer": (HYBRID, 6), "require": (HYBRID,)}
 
 
