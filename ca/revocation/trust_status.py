@@ -106,12 +106,12 @@ class Revocations:
         if persist is not None:
             persist(data)
         # 3. In force. What is known to be revoked stays so: a tree says nothing of single entries.
-        self._complete = isinstance(revocations, lists.RevocationList)
         entries = revocations.entries if isinstance(revocations, lists.RevocationList) else self.entries
-        added = entries - self.entries
+        added, digest = entries - self.entries, lists.digest(data)
+        self._complete = isinstance(revocations, lists.RevocationList)
+        self.entries, self._received, self.digest = entries, now, digest
+        # Last: by `data` it counts as done, and is not done again.
         self.current, self.data, self.floor = revocations, data, revocations.number
-        self.digest = lists.digest(data)
-        self.entries, self._received = entries, now
         self._confirmed, self._relied_until = None, 0
         self._absent, self._unproved = set(), {}
         return added

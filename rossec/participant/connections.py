@@ -11,7 +11,7 @@ import contextlib
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from functools import partial
 from threading import Lock
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
@@ -212,19 +212,15 @@ class ConnectionTable(Generic[StreamT]):
         with self._trust_status_lock:
             revoked = self._trust_status.own.entries
             refused = [(stream, self._refusal(each.peer, now)) for stream, each in accepted]
-        # 1. Whom the list names first: one of a thousand does not wait until the others are judged.
         named = [each for each in connections if not revoked.isdisjoint(each.entries)]
-        ended = self._disconnect_ended(named, now)
-        for stream, reason in refused:
-            if reason is not None:
-                stream.disconnect()
-        ended += self._disconnect_ended(set(connections).difference(named), now)
-        # 2. Nothing passes on any of them now; what waits for one is told, and people are.
-        for connection, reason in ended:
-            connection.stream.abort(reason)
-        for stream, reason in refused:
-            if reason is not None:
-                stream.abort(reason)
+        # 2. What waits for one is told when the stack is unwound, whatever was raised; people are after that.
+        with ExitStack() as aborts:
+            # 1. Whom the list names first: one of a thousand does not wait until the others are judged.
+            ended = self._disconnect_ended(named, now, aborts)
+            for stream, reason in refused:
+                if reason is not None:
+                    _disconnect(stream, reason, aborts)
+            ended += self._disconnect_ended(set(connections).difference(named), now, aborts)
         for connection, reason in ended:
             name, right = connection.stream.peer.name, connection.decision.name
             _log.warning("closed the connection with %s (%s): %s", shown(name), shown(right), reason)
@@ -232,7 +228,7 @@ class ConnectionTable(Generic[StreamT]):
             self.renewed.retry(self, now)
 
     def _disconnect_ended(
-        self, connections: Iterable[AuthorizedConnection[StreamT, Any]], now: int
+        self, connections: Iterable[AuthorizedConnection[StreamT, Any]], now: int, aborts: ExitStack
     ) -> list[tuple[AuthorizedConnection[StreamT, Any], str]]:
         # Those that must end and have been disconnected, with the reasons. What a peer has presented since is
         # judged last: it costs signatures, for which no other may stay open.
@@ -243,7 +239,7 @@ class ConnectionTable(Generic[StreamT]):
         ended = []
         for connection, reason in must_end:
             if not self._continues(connection, now) and self.discard(connection):
-                connection.stream.disconnect()
+                _disconnect(connection.stream, reason, aborts)
                 ended.append((connection, reason))
         return ended
 
@@ -270,11 +266,15 @@ class ConnectionTable(Generic[StreamT]):
     def close(self, reason: str) -> None:
         """Cut every connection, and admit none any more: nothing would cut it."""
         self._closed = reason  # first: what is added meanwhile is cut by its own check
-        ended = [connection for connection in self if self.discard(connection)]
-        for connection in ended:
-            connection.stream.disconnect()
-        for connection in ended:
-            connection.stream.abort(reason)
+        with ExitStack() as aborts:
+            for connection in self:
+                if self.discard(connection):
+                    _disconnect(connection.stream, reason, aborts)
+
+
+def _disconnect(stream: AcceptedStream, reason: str, aborts: ExitStack) -> None:
+    aborts.callback(stream.abort, reason)  # first: it is in no table any more
+    stream.disconnect()
 
 
 class ConnectionWatchdog:

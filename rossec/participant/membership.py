@@ -232,6 +232,7 @@ class Membership:
         self._identity = identity
         self._access = access
         self._connections = connections
+        self._cut_for: bytes | None = None  # the list for which all that it ends was cut
         self._grace = grace
         self._hooks = hooks
         self._grant_directory = GrantDirectory(identity.home, access)
@@ -293,17 +294,20 @@ class Membership:
     def update_revocations(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take a newer list (empty: the one held) and a timestamp, then close what they end."""
         now, before = clock.now(), self._identity.revocations.data
-        must_cut = True
+        is_refused = True
         try:
             self._access.update_revocations(
                 revocations, timestamp, master, now, self._identity.home.save_revocations
             )
-            # A timestamp alone ends nothing, and neither does a list that came by another connection before.
-            must_cut = self._identity.revocations.data != before
+            is_refused = False
         finally:  # the list takes effect even when the timestamp is refused
-            if must_cut:
+            # A timestamp alone ends nothing, and neither does a list for which all was cut before: here, not
+            # only put in force, which another thread or another node with the same list may just have done.
+            data = self._identity.revocations.data
+            if is_refused or data != self._cut_for:
                 self._connections.cut_ended(now)
-            if self._identity.revocations.data != before:
+                self._cut_for = data
+            if data != before:
                 self.rights_version += 1
 
     def take_push(self, method: str, params: tuple[object, ...], master: Identity) -> None:

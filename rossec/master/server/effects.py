@@ -10,6 +10,7 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -341,15 +342,15 @@ class Effects:
         # All of them before a line about one: lines of the audit take longer than the cuts. Whom the list
         # names first: the grants of all others are evaluated anew.
         now, revoked, entries = self._state.now(), [], self._state.trust.revoked()
-        for stream in sorted(self._state.streams, key=lambda each: entries.isdisjoint(each.peer.keys)):
-            try:
-                self._state.trust.caller(stream.peer, now)
-            except HintedError as error:
-                stream.disconnect()
-                revoked.append((stream, str(error)))
-        for stream, reason in revoked:
-            self._state.streams.discard(stream)  # its handler ends in a later iteration
-            stream.abort(reason)
+        with ExitStack() as aborts:  # also of those already found, whatever is raised for a later one
+            for stream in sorted(self._state.streams, key=lambda each: entries.isdisjoint(each.peer.keys)):
+                try:
+                    self._state.trust.caller(stream.peer, now)
+                except HintedError as error:
+                    aborts.callback(stream.abort, str(error))
+                    stream.disconnect()
+                    self._state.streams.discard(stream)  # its handler ends in a later iteration
+                    revoked.append((stream, str(error)))
         for stream, reason in revoked:
             _audit.warning("%s is disconnected: %s", shown(stream.peer.name), printable(reason))
 

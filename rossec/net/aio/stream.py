@@ -111,17 +111,19 @@ class SecureStream(BaseStream, Generic[PeerT]):
     # -- called by the transport
 
     def buffer_updated(self, count: int) -> None:
+        events: Sequence[negotiation.Event[PeerT]] = ()
         try:
             unit = self.connection.lone_unit(count)
-            if unit is not None:
-                if self._take is None or self._units is not None or not self._take(unit):
-                    self._deliver(unit)
-                    if self._units:
-                        self._notify()
-                return
-            events = self.connection.buffer_updated(count, wall_clock())
+            if unit is None:
+                events = self.connection.buffer_updated(count, wall_clock())
         except ChannelError as error:
             self.fail(error)
+            return
+        if unit is not None:
+            if self._take is None or self._units is not None or not self._take(unit):
+                self._deliver(unit)
+                if self._units:
+                    self._notify()
             return
         if self.authenticated or not events:
             self.flush()

@@ -223,6 +223,8 @@ class Transport:
 
     def disconnect(self) -> None:
         """Let nothing pass any more, before `abort`: of many connections each takes half as long so."""
+        self.pause_reading()  # the kernel would still return what had arrived
+        self._closing = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 

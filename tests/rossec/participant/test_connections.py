@@ -376,6 +376,26 @@ def test_who_presented_something_keeps_no_other_open_while_it_is_judged(
     assert judged == [3, 4, 5]
 
 
+@pytest.mark.attack("revocation-at-scale")
+def test_what_was_disconnected_is_aborted_whatever_happens_to_the_next(site: Site, events: list[str]) -> None:
+    held = trust_status(site)
+    connections = table(held)
+    opened(connections, events, "/eve")
+    broken = opened(connections, events, "/other")
+    broken.presented.by_peer = b"renewed"  # judged last
+
+    def continues(connection: Connection, _: int) -> bool:
+        if connection is broken:
+            raise RuntimeError("a bug")
+        return False
+
+    connections.renewed = SimpleNamespace(continues=continues, retry=lambda *_: None)  # type: ignore[assignment]
+    held.own.update(site.revoke(KEY), NOW)
+    with pytest.raises(RuntimeError, match="a bug"):
+        connections.cut_ended(NOW)
+    assert events == ["/eve disconnected", "/eve aborted"]
+
+
 def test_a_table_that_is_closed_disconnects_all_first(site: Site, events: list[str]) -> None:
     connections = table(trust_status(site))
     for number in range(3):

@@ -277,6 +277,17 @@ def test_a_list_that_comes_by_many_connections_at_once_is_applied_once(
     assert verified == [data, data + b"x"]
 
 
+def test_a_list_that_another_user_of_the_trust_status_took_is_enforced_here_too(site: Site) -> None:
+    """A border router's things and its node have one; and a cut that failed is tried again."""
+    form, data = Form(site), site.revoke(bytes(32))
+    stamp, master = timestamp(site, data), site.identity(MASTER)
+    form.loaded.revocations.update(data, site.now())
+    form.membership.take_push(REVOCATION_UPDATE, (data, stamp), master)
+    assert form.calls == ["close"]
+    form.membership.take_push(REVOCATION_UPDATE, (data, stamp), master)
+    assert form.calls == ["close"], "once"
+
+
 def test_threads_that_bring_one_list_verify_it_once(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in rospy, where each connection of the master has a thread."""
     form, data = Form(site), site.revoke(bytes(32))

@@ -105,6 +105,24 @@ async def test_a_single_unit_is_offered_before_it_is_queued(server: SecureServer
         assert stream.next_unit() is None
 
 
+async def test_after_an_error_where_a_unit_is_taken_nothing_passes(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    """Also one of another connection's: it is not this one that has ended."""
+    stream = await call(server)
+    asyncio.get_running_loop().set_exception_handler(lambda *_: None)
+    offered = list[bytes]()
+
+    def take(unit: bytes) -> bool:
+        offered.append(unit)
+        raise ChannelClosed("another connection has ended")
+
+    stream.on_ready(lambda: None, take)
+    await stream.send(b"one")
+    await asyncio.wait_for(stream.wait_ended(), 10)
+    assert (offered, stream.transport.closed) == ([b"one"], True)
+
+
 async def test_a_slow_reader_stops_the_writer() -> None:
     go = asyncio.Event()
     got = 0
