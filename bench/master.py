@@ -59,9 +59,6 @@ def works(names: list[str], count: int) -> dict[str, Work]:
         "setParam": lambda k, i: ("setParam", names[k], f"{names[k]}/p{i % 20}", i),
         "getParam": lambda k, i: ("getParam", names[k], f"{other(k, i)}/rate"),
         "getSystemState": lambda k, _: ("getSystemState", names[k]),
-        # The same question of the same caller, as a program's loop asks it.
-        "lookupNode again": lambda k, _: ("lookupNode", names[k], other(k, 0)),
-        "getParam again": lambda k, _: ("getParam", names[k], f"{other(k, 0)}/rate"),
     }
 
 

@@ -374,7 +374,8 @@ class CallServer:
         http = self._http
         if self.is_compact or (self._takes_offers and http.is_offered and not http.pending):
             unit = dump_compact_answer(self._turn, value, limit=self._limit)
-            self._end_turn()
+            self._turn = (self._turn + 1) % TURNS
+            self.answering = False
             if self.is_compact:
                 return unit
             self.is_compact = True
@@ -383,29 +384,6 @@ class CallServer:
         if len(body) > self._limit:
             raise xmlrpc.too_long(len(body), self._limit)
         return http.respond(body)
-
-    def call_bytes(self, request: bytes) -> bytes | None:
-        """`request` without the number of its turn, if its answer may be given again."""
-        # None for what is answered in another form (an offer, the end of the connection), and for units with
-        # another turn, which are refused. A unit and a body of XML-RPC that is answered never begin alike.
-        if not self.is_compact:
-            http = self._http
-            return None if http.is_last or (self._takes_offers and http.is_offered) else request
-        if request[1:4] != _BEGINNINGS[self._turn] or not 0x83 <= request[0] < 0x98:
-            return None
-        return request[:1] + request[4:]
-
-    def respond_again(self, message: bytes) -> bytes:
-        """The bytes of an answer that `respond` returned for a call with the same `call_bytes`."""
-        if not self.is_compact:
-            return self._http.respond_again(message)
-        unit = message[:1] + _TURNS[self._turn] + message[2:]
-        self._end_turn()
-        return unit
-
-    def _end_turn(self) -> None:
-        self._turn = (self._turn + 1) % TURNS
-        self.answering = False
 
     def refuse(self, status: int) -> bytes:
         return self._http.refuse(status)

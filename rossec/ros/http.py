@@ -196,16 +196,6 @@ class HttpServer:
         self.closing = self._last
         return _message(b"HTTP/1.1 200 OK", body, close=self._last)
 
-    @property
-    def is_last(self) -> bool:
-        # The connection ends with the answer to the current request.
-        return self._last
-
-    def respond_again(self, message: bytes) -> bytes:
-        # What `respond` returned for another request that was not the last.
-        self._answering = False
-        return message
-
     def refuse(self, status: int) -> bytes:
         if self.closing:
             return b""

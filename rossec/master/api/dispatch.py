@@ -73,8 +73,7 @@ class MasterApi:
 
     def _methods(self, statements: statement_calls.StatementCalls, uri: str, pid: int) -> Methods:
         # By name: the checks of its arguments after the caller_id, what it answers when it is refused, and
-        # who answers it. Which right it needs is in `access_rules.RULES`, which has the same names. `kept`:
-        # a read, whose answer changes with nothing but what `kept_answers` compares, and says nothing else.
+        # who answers it. Which right it needs is in `access_rules.RULES`, which has the same names.
         graph, parameters, sites = self.graph, self.parameters, self.sites
         topic, type_name, service = arg.topic("topic"), arg.type_name("topic_type"), arg.topic("service")
         api, service_api, key = (
@@ -112,21 +111,21 @@ class MasterApi:
             "unregisterPublisher": Method((topic, api), 0, unregister_publisher),
             "unregisterSubscriber": Method((topic, api), 0, graph.unregister_subscriber),
             "unregisterService": Method((service, service_api), 0, graph.unregister_service),
-            "lookupNode": Method((arg.node("node"),), "", graph.lookup_node, kept=True),
-            "lookupService": Method((service,), "", graph.lookup_service, kept=True),
-            "getSystemState": Method((), [[], [], []], graph.system_state, kept=True),
-            "getTopicTypes": Method((), [], graph.topic_types, kept=True),
-            "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, graph.published_topics, kept=True),
-            "getUri": Method((), "", lambda _: Reply(uri), kept=True),
-            "getPid": Method((), -1, lambda _: Reply(pid), kept=True),
+            "lookupNode": Method((arg.node("node"),), "", graph.lookup_node),
+            "lookupService": Method((service,), "", graph.lookup_service),
+            "getSystemState": Method((), [[], [], []], graph.system_state),
+            "getTopicTypes": Method((), [], graph.topic_types),
+            "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, graph.published_topics),
+            "getUri": Method((), "", lambda _: Reply(uri)),
+            "getPid": Method((), -1, lambda _: Reply(pid)),
             "shutdown": Method((arg.anything,), 0, shutdown),
             # 2. Stock's: parameters.
-            "getParam": Method((key,), 0, parameters.get, kept=True),
-            "hasParam": Method((key,), False, parameters.has, kept=True),
+            "getParam": Method((key,), 0, parameters.get),
+            "hasParam": Method((key,), False, parameters.has),
             "setParam": Method((key, arg.not_none("value")), 0, parameters.set),
             "deleteParam": Method((key,), 0, parameters.delete),
-            "searchParam": Method((arg.search_key("key"),), 0, parameters.search, kept=True),
-            "getParamNames": Method((), [], parameters.parameter_names, kept=True),
+            "searchParam": Method((arg.search_key("key"),), 0, parameters.search),
+            "getParamNames": Method((), [], parameters.parameter_names),
             "subscribeParam": Method((api, key), 0, parameters.subscribe),
             "unsubscribeParam": Method((api, key), 0, parameters.unsubscribe),
             # 3. Watchers, other masters, relays.

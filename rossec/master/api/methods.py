@@ -188,7 +188,6 @@ class Method:
     checks: tuple[Check, ...]
     default: object
     handler: Handler
-    kept: bool = False  # its answer may be kept: `rossec.master.api.kept_answers`
 
 
 Methods = Mapping[str, Method]

@@ -14,7 +14,6 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.master.api import graph_calls, statement_calls
 from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
-from rossec.master.api.kept_answers import KeptAnswers
 from rossec.master.api.methods import CallDenied, CallOutcome, TurnClock, TurnExpired, Work, advance
 from rossec.master.api.site_calls import FOLLOW, UNCHANGED, is_idle
 from rossec.master.rights.caller import Caller
@@ -96,12 +95,6 @@ class PendingCall(NamedTuple):
     peer: Identity
 
 
-class _Repeatable(NamedTuple):
-    answer: object
-    caller: Caller
-    now: int
-
-
 class CallAnswers:
     def __init__(self, api: MasterApi, state: MasterState, effects: Effects, turns: TurnClock) -> None:
         self._api = api
@@ -109,8 +102,6 @@ class CallAnswers:
         self._effects = effects
         self._turns = turns
         self._loop_turns = of_loop()
-        self._kept = KeptAnswers(state)
-        self._repeatable: _Repeatable | None = None  # the newest answer that may be kept
         self._polls = {
             statement_calls.WATCH_GRANTS: self._watch_grants,
             names.WATCH_RENEWALS: self._watch_renewals,
@@ -128,43 +119,26 @@ class CallAnswers:
             return self._polls[method](call)
         return self._call(call)
 
-    def find_answer(self, peer: Identity, call: bytes) -> bytes | None:
-        """As `rossec.net.rpc.calls.AnswerKeeper`: the caller and its rights are those of this moment."""
-        answer = self._kept.find(peer.thumbprint, call, partial(self._caller_now, peer))
-        self._effects.calls += answer is not None
-        return answer
-
-    def keep_answer(self, value: object, call: bytes, answer: bytes) -> None:
-        found, self._repeatable = self._repeatable, None
-        if found is not None and found.answer is value:
-            self._kept.keep(found.caller, found.now, call, answer)
-
     def _call(self, call: PendingCall) -> object:
         # 2. Nearly every other call is answered here and now.
         method, imports = call.method, self._state.imports
         wanted = imports.demand.version
-        caller, now = self._caller_now(call.peer)
-        begun = self._api.begin(method, call.params, caller, now, is_local=call.is_local)
+        begun = self._begin(call)
         if method in ASKING and imports.demand.version != wanted and not imports.is_settled:
             return self._after_sites(call)
         if isinstance(begun, CallOutcome):
             match begun.events:
                 case [CallDenied(taken_by=NodeRef() as owner)] if owner not in self._effects.dialer.probed:
                     return self._probe_owner(owner, call)
-            return self._answered(method, begun, caller, now)
+            return self._effects.apply(begun)
         # 3. A filtered query takes turns; a watcher or follower that has seen all waits for a change.
         if method == FOLLOW:
             self._state.site_polls.wake((call.peer.thumbprint,))  # its last one: one waits for each follower
         outcome = advance(begun, self._first_turn())
         if outcome is None:
             return self._in_turns(call, begun)
-        answer = self._answered(method, outcome, caller, now)
+        answer = self._effects.apply(outcome)
         return self._watch(call, self._expect_change(call)) if _is_unchanged(call, answer) else answer
-
-    def _answered(self, method: str, outcome: CallOutcome, caller: Caller, now: int) -> object:
-        if not outcome.events and self._api.methods[method].kept:
-            self._repeatable = _Repeatable(outcome.answer, caller, now)
-        return self._effects.apply(outcome)
 
     async def _after_sites(self, call: PendingCall) -> object:
         self._state.notify()

@@ -209,7 +209,6 @@ class MasterServer:
             request_deadline=state.limits.request_seconds,
             idle_deadline=state.limits.idle_seconds,
             bound=partial(self._admission.body_bound, stream.peer),
-            kept=self._answers,
         )
 
     async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:

@@ -160,10 +160,7 @@ class Imports:
         if len(old) - len(gone) + len(new) > self._limit:
             raise ImportRefused(f"site {site.label} has more than {self._limit} facts")
         events = self.drop(site.label) if held is not None and held.site != site else []
-        if site.label not in self._sites:  # its label counts from now on, before any fact
-            self._sites[site.label] = SiteFacts(site)
-            self.version += 1
-        held = self._sites[site.label]
+        held = self._sites.setdefault(site.label, SiteFacts(site))
         held.is_lost = False
         events += yield from self._change(held, new, gone)
         events += self._forget_retained(site.label)

@@ -124,7 +124,6 @@ class Parameters:
     def __init__(self) -> None:
         self._top: Tree = {"": {}}  # the root has no name
         self.size = encoded_size(self._top)
-        self.version = 0  # grows with every change
 
     def get(self, key: str) -> object:
         value: object = self._top[""]
@@ -157,7 +156,6 @@ class Parameters:
             raise TooLarge(size, limit)
         parent[name] = new
         self.size = size
-        self.version += 1
 
     def delete(self, key: str) -> None:
         head, _, last = names.canonical(key).rpartition(names.SEPARATOR)
@@ -165,7 +163,6 @@ class Parameters:
         if not isinstance(parent, dict) or last not in parent:
             raise ParameterMissing(key)
         self.size -= member_size(last, parent.pop(last))
-        self.version += 1
 
     def item(self, key: str) -> tuple[str, object]:
         """`key` and its value, or None: the item that a call on `key` reaches."""
@@ -277,7 +274,6 @@ class Mirrors:
     def __init__(self, limit: int = MIRROR_LIMIT) -> None:
         self._limit = limit
         self._mirrors: dict[str, _Mirror] = {}
-        self.version = 0  # grows with every change
 
     def replace(self, site: Site, tree: dict[str, object]) -> list[MirrorChange]:
         """Take over all that is mirrored of a site, in its names from its root; returns what has changed."""
@@ -298,14 +294,12 @@ class Mirrors:
         before = _root(old.parameters) if old is not None and old.site == site else {}
         events = [] if old is None or old.site == site else self.drop(site.label)
         self._mirrors[site.label] = _Mirror(site, new)
-        self.version += 1
         return [*events, *_changes(_namespace(site), before, _root(new))]
 
     def drop(self, label: str) -> list[MirrorChange]:
         held = self._mirrors.pop(label, None)
         if held is None:
             return []
-        self.version += 1
         return [*_changes(_namespace(held.site), _root(held.parameters), {})]
 
     def item(self, key: str) -> tuple[str, object]:

@@ -32,7 +32,6 @@ _CRASHED: Final = Fault(FAULT_CODE, "rossec: internal error")
 _log = logging.getLogger("rossec.net.callloop")
 PeerT = TypeVar("PeerT")
 PeerT_co = TypeVar("PeerT_co", covariant=True)
-PeerT_contra = TypeVar("PeerT_contra", contravariant=True)
 
 
 class _Message(NamedTuple):
@@ -59,16 +58,6 @@ class ServedStream(Protocol[PeerT_co]):
     async def close(self) -> None: ...
 
 
-class AnswerKeeper(Protocol[PeerT_contra]):
-    """Answers that a server may give again."""
-
-    # The answer to a call with these bytes, if it is still the answer.
-    def find_answer(self, peer: PeerT_contra, call: bytes) -> bytes | None: ...
-
-    # Offered the bytes of `value`, which was dispatched just now; it decides.
-    def keep_answer(self, value: object, call: bytes, answer: bytes) -> None: ...
-
-
 Dispatch: TypeAlias = Callable[[str, tuple[object, ...], PeerT], object]
 """Answers one call: returns the value or what to await for it, or raises `Fault`; `HangUp` ends the
 connection."""
@@ -85,7 +74,6 @@ class CallLoop(Generic[PeerT]):
     compact: InitVar[bool] = True
     bound: Callable[[], int] | None = None
     urgent: bool = False
-    kept: AnswerKeeper[PeerT] | None = None
     _turns: LoopTurns = field(default_factory=of_loop, init=False)
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop, init=False)
     _calls: CallServer = field(init=False)
@@ -203,12 +191,6 @@ class CallLoop(Generic[PeerT]):
 
     def _answer_at_once(self, request: bytes) -> None:
         try:
-            call_bytes = None if self.kept is None else self._calls.call_bytes(request)
-            if self.kept is not None and call_bytes is not None:
-                answer = self.kept.find_answer(self._stream.peer, call_bytes)
-                if answer is not None:
-                    self._respond(self._calls.respond_again(answer))
-                    return
             call = self._calls.load(request)
             value = self._dispatch(call.method, call.params, self._stream.peer)
             if type(value) is not list and isinstance(value, Awaitable):  # the isinstance check is slow
@@ -216,8 +198,6 @@ class CallLoop(Generic[PeerT]):
                 self._wait_for(self._respond_later(value))
                 return
             message = self._calls.respond(value)
-            if self.kept is not None and call_bytes is not None:
-                self.kept.keep_answer(value, call_bytes, message)
         except (HangUp, CompactRefused):
             raise
         except Exception as error:  # noqa: BLE001 - handled in `_failure`
@@ -314,7 +294,6 @@ async def serve_calls(
     compact: bool = True,
     bound: Callable[[], int] | None = None,
     urgent: bool = False,
-    kept: AnswerKeeper[PeerT] | None = None,
 ) -> None:
     """Answer the calls on `stream` until the peer closes it or breaks the protocol.
 
@@ -323,7 +302,6 @@ async def serve_calls(
     `compact`: take an offer of the compact form; not from a program, whose bytes come as they may.
     `bound`: how long a call may be that is parsed now, for a peer without rights less than `limit`.
     `urgent`: long calls of this peer precede those of others.
-    `kept`: answers that are given again without a dispatch.
     """
     calls = CallLoop(
         stream,
@@ -334,7 +312,6 @@ async def serve_calls(
         compact=compact,
         bound=bound,
         urgent=urgent,
-        kept=kept,
     )
     try:
         await calls.run()

@@ -132,9 +132,7 @@ async def test_the_limits_of_a_call_are_those_of_the_configuration(
     async with another(world, limits=limits):
         client = await world.call_as(world.site.enroll("/node"))
         assert isinstance(await client.ask("getPid", "/node"), int)
-    (found,) = given
-    assert found.pop("kept") is not None
-    assert found == {"limit": 5000, "request_deadline": 7, "idle_deadline": 8, "bound": 4000}
+    assert given == [{"limit": 5000, "request_deadline": 7, "idle_deadline": 8, "bound": 4000}]
 
 
 async def test_parameters_and_deposits_survive_a_restart(world: World, tmp_path: Path) -> None:
