@@ -3,20 +3,15 @@
 import re
 
 import pytest
-from playwright.sync_api import Route, expect
+from playwright.sync_api import expect
 
 from tests.support.browser import Chromium, Window
 from tests.support.consolesite import ASKED, CAMERA, POSE, ConsoleSite
 from tests.support.pagecheck import PageCheck
-from tests.support.person import press, set_up, thief
+from tests.support.person import press, thief
 
 pytestmark = pytest.mark.browser
 ANSWER = re.compile("^Today")
-CLICK = """() => {
-    const buttons = [...document.querySelectorAll("button")];
-    const today = buttons.find(each => each.textContent.trim().startsWith("Today"));
-    addEventListener("beforeunload", () => setTimeout(() => today.click(), 200), {once: true});
-}"""
 
 
 def ask(site: ConsoleSite, node: str, topic: str, why: str) -> None:
@@ -144,16 +139,3 @@ def test_what_is_ended_while_the_key_is_locked_waits_for_it(
     check(phone, "revoked-locked", "phone")
     site.run("ca", "unlock", *site.key)
     expect(phone.page.locator("li.tick.is-done").first).to_contain_text("signed, list")
-
-
-def test_a_touch_while_the_page_loads_itself_again_counts(chromium: Chromium, site: ConsoleSite) -> None:
-    with chromium.window(site.origin, checked=False) as other:  # a request is cut off
-        set_up(other, site, "another phone")
-        ask(site, "/lamp", "/hall/light", "to know the hour")
-        open_question(other)
-        other.page.evaluate(CLICK)
-        held: list[Route] = []
-        other.page.route("**/ask/*", lambda route: held.append(route))  # noqa: PLW0108 - needs a function
-        ask(site, "/lamp", "/hall/door", "to be lit")
-        expect(other.page.locator(".end-mark")).to_have_count(1, timeout=60_000)
-        assert held, "nothing loaded the page again"
