@@ -24,7 +24,7 @@ class MadeOfCommands(BuildHookInterface):
         sys.path.insert(0, self.root)
         sys.dont_write_bytecode = True
         from rossec.cli.main import rossec  # noqa: PLC0415 - they are found only now
-        from rossec.cli.manual import make  # noqa: PLC0415
+        from rossec.cli.manual import make  # noqa: PLC0415 - likewise
 
         pages, table = make(rossec, self.metadata.version, self.made)
         build_data["force_include"][str(table)] = "rossec/cli/completion/outlines.json"

@@ -67,7 +67,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int, revoked: i
                 with _timed(robot) as at:
                     ours.send([members.index(each) for each in chosen])
                     begin = time.perf_counter()
-                    await robot._membership.session.call("rossec.updateRevocations", data)  # noqa: SLF001
+                    await robot._membership.session.call("rossec.updateRevocations", data)  # noqa: SLF001 - as its master would
                     ends: list[float] = await asyncio.to_thread(ours.recv)
             finally:
                 await talking.close()
@@ -86,7 +86,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int, revoked: i
 def _timed(robot: Node) -> Iterator[dict[str, float]]:
     # When the list comes, when the last socket is shut for it, and when all is done.
     at: dict[str, float] = {}
-    membership, disconnect = robot._membership, Transport.disconnect  # noqa: SLF001
+    membership, disconnect = robot._membership, Transport.disconnect  # noqa: SLF001 - what is timed
     update = membership.update_revocations
 
     def timed_update(revocations: bytes, *rest: Any) -> None:
@@ -184,6 +184,6 @@ async def _join(
             await stream.send(tcpros.encode(fields))
             await stream.receive()
             stream.transport.pause_reading()
-            return socket.socket(fileno=os.dup(stream.transport._fd))  # type: ignore[attr-defined]  # noqa: SLF001
+            return socket.socket(fileno=os.dup(stream.transport._fd))  # type: ignore[attr-defined]  # noqa: SLF001 - reads below the channel
 
     return await asyncio.gather(*map(join, members))

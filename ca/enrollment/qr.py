@@ -171,7 +171,7 @@ def decode_base45(text: str) -> bytes:
 
 def _printed(text: str) -> "segno.QRCode":
     # It takes a tenth of the start of a command, and few that know of codes draw one.
-    import segno  # noqa: PLC0415
+    import segno  # noqa: PLC0415 - see above
 
     return segno.make_qr(text, error="m", boost_error=False)
 
